@@ -57,6 +57,12 @@ class Outlet(Operator[S], Generic[S, R]):
         """Where what it leaves behind lies, for people to find it at the end of a session; "" if it leaves nothing."""
         return str(getattr(self, "path", ""))
 
+    @property
+    def undelivered(self) -> str:
+        """What this outlet was given and did not deliver, in words, asked after `close`; "" where nothing is missing. Then the session ends
+        with exit code 5, as where an outlet fails or its queue drops."""
+        return ""
+
     def meet(self, graph: Graph) -> None:
         """Told once, before `begin`, which graph this is: its text, its nodes with their parameters and delays, the session's facts."""
 

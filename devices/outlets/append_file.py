@@ -65,12 +65,15 @@ class AppendFile:
         self._retry_at = 0.0
         written = self._flush()
         lost = self.dropped + self.pending.count(b"\n")
+        is_gone = not self.path.exists()
         try:
             os.fsync(self._handle)
         except OSError as error:
             log.error("file may not be on the disk yet", path=str(self.path), error=error.strerror)
         finally:
             os.close(self._handle)
+        if is_gone:
+            raise DeviceError(f"{self.path} was deleted or moved while it was written")
         if not written or lost:
             raise DeviceError(
                 f"{lost} rows of {self.path} could not be written: the disk was full or failing; free some space"

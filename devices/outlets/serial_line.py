@@ -31,12 +31,19 @@ class SerialLine:
             self._port.open()
         except (serial.SerialException, OSError, ValueError) as error:
             raise DeviceError(f"serial port {port} cannot be opened for trigger pulses: {error}") from None
+        self._asked = self._given = 0
         self._thread = threading.Thread(target=self._work, name=f"trigger {port}", daemon=True)
         self._thread.start()
 
     def pulse(self, code: int = 1) -> None:
         """Give a pulse; `code`, from 1 to 255, is the byte."""
+        self._asked += 1
         self._wanted.put(code)
+
+    @property
+    def lost(self) -> int:
+        """How many pulses were not given; to be asked after `close`."""
+        return self._asked - self._given
 
     def close(self) -> None:
         """Pulses that were asked for are given first."""
@@ -50,6 +57,7 @@ class SerialLine:
                 self._set(code)
                 rest.wait(self._pulse_s)
                 self._set(0)
+                self._given += 1
                 rest.wait(self._pulse_s)
         except (OSError, ValueError) as error:
             log.warning("no more trigger pulses: the serial port is gone", port=self._where, error=str(error))

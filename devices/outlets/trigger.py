@@ -36,13 +36,14 @@ class TriggerState:
 
 
 class TriggerRuntime:
-    """What belongs to a running outlet: the clock of a live session, and the ways out that are in use."""
+    """What belongs to a running outlet: the clock of a live session, and the ways out that are in use; at the end, the pulses not given."""
 
     def __init__(self) -> None:
         self.clock: SessionClock | None = None
         self.serial: SerialLine | None = None
         self.osc: OscSender | None = None
         self.lsl: Any = None
+        self.lost = 0
         self.zero: int | None = None
 
 
@@ -91,6 +92,11 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
         self.hold(TriggerState(False, 0, 0), TriggerRuntime())
         return {}
 
+    @property
+    def undelivered(self) -> str:
+        lost = self.runtime.lost
+        return f"{lost} trigger pulses were not given: the serial port {self.serial_port} is gone" if lost else ""
+
     def keep_time(self, clock: SessionClock) -> None:
         self.runtime.clock = clock
 
@@ -121,6 +127,7 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
             self._give("stop", 0.0, self.state.last)
         if runtime.serial is not None:
             runtime.serial.close()
+            runtime.lost = runtime.serial.lost
         if runtime.osc is not None:
             runtime.osc.close()
         if runtime.lsl is not None and runtime.lsl.have_consumers():

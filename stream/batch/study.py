@@ -33,6 +33,7 @@ class BatchState:
     made     jobs done now, by status ("done", "incomplete", "failed")
     kept     jobs whose results were there, and depend on nothing that has changed
     failed, incomplete   what failed, and what is of recordings that broke off, done now or before
+    left_out  outputs that the graph records and that are in no table, with the reason
     seconds  of recordings replayed now
     """
 
@@ -41,6 +42,7 @@ class BatchState:
     kept: int = 0
     failed: list[JobEntry] = field(default_factory=list)
     incomplete: list[JobEntry] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
 
     @property
@@ -51,6 +53,7 @@ class BatchState:
         self.kept += not now
         self.made[entry.status] += now
         self.seconds += entry.seconds if now else 0.0
+        self.left_out |= entry.left_out
         if entry.failed:
             self.failed.append(entry)
         elif entry.status == "incomplete":

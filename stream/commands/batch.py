@@ -51,12 +51,13 @@ def batch(
     """Replay a graph over many recordings and parameter values; each output that it records becomes a Parquet table.
 
     A job is done again where anything has changed on which its results depend: graph, settings, recording, code, models. A recording that
-    cannot be replayed is a row in failed.parquet. Exit code 1: a job failed; 6: a recording is incomplete.
+    cannot be replayed is a row in failed.parquet. Exit code 1: a job failed; 5: an output is in no table; 6: a recording is incomplete.
     """
     from stream.batch.jobs import jobs, read_grid
     from stream.batch.study import batch as run
     from stream.batch.work import Common
     from stream.commands import logs
+    from stream.engine.shortfall import NotDelivered
     from stream.graph.load import read_text
 
     logs.set_up()
@@ -70,6 +71,8 @@ def batch(
         sys.exit(1)
     if tally.incomplete:
         raise SomeIncomplete(tally.incomplete)
+    if tally.left_out:
+        raise NotDelivered(tally.left_out)
 
 
 class SomeIncomplete(KinegraphError):

@@ -118,11 +118,12 @@ def _recorded(source: Recording, path: Path, verify: bool) -> list[str]:
 
 
 def _check_whole(result: Replayed, run: Replay, source: Recording) -> None:
-    """Raises OutletFailed, or Incomplete where the recording was not closed cleanly."""
+    """Raises NotDelivered, or Incomplete where the recording was not closed cleanly."""
+    from stream.engine.shortfall import NotDelivered, shortfalls
     from stream.recording.place import is_running
 
-    if failed := [stage for stage in run.pipeline.outlets if stage.failed]:
-        raise OutletFailed(", ".join(f"{stage.node.name!r}: {stage.failed}" for stage in failed))
+    if missing := shortfalls(run.pipeline.outlets):
+        raise NotDelivered(missing)
     if source.missing and not is_running(source.path):
         raise Incomplete(source.path, result.seconds, source.missing.words)
 
@@ -153,15 +154,6 @@ class Incomplete(KinegraphError):
         super().__init__(
             f"{path}: was not closed cleanly; {seconds:.1f} s were replayed; missing: {words}. `kinegraph recover` completes it"
         )
-
-
-class OutletFailed(KinegraphError):
-    """An outlet that was asked to speak was switched off: something was not written."""
-
-    exit_code = 5
-
-    def __init__(self, failures: str) -> None:
-        super().__init__(f"not everything was written: {failures}")
 
 
 def _listed(facts: dict[str, Any]) -> str:

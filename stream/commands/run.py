@@ -187,6 +187,8 @@ def _tell_end(outcome: Outcome) -> None:
         troubles = {k: row[k] for k in ("dropped", "late", "gaps", "dropped_chunks", "error", "problems") if row.get(k)}
         if troubles:
             say(f"  {name}: {json.dumps(troubles)}", err=True)
+    for name, why in outcome.missing.items():
+        say(f"not delivered: {name}: {why}", err=True)
     for node, file in outcome.files.items():
         say(f"{node}: {file}", err=True)
     if outcome.folder and any(outcome.folder.glob("*.mcap")):

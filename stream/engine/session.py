@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -27,6 +27,7 @@ from stream.engine.pipeline import Pipeline
 from stream.engine.queues import DROPPED, ReadyQueue
 from stream.engine.resume import catch_up
 from stream.engine.session_log import PriorSession, SessionLog
+from stream.engine.shortfall import INCOMPLETE, shortfalls
 from stream.engine.status import MemoryWatch, Outcome, SessionView, Table, recording_row, table_of
 from stream.engine.supervisor import GRACE_S, REST_S, Runner
 from stream.engine.warmup import Compilations, warm_up
@@ -35,7 +36,6 @@ from stream.errors import KinegraphError, asked_to_end, blaming
 from stream.graph import Graph, Node
 from stream.graph.suited import refuse_unsuited
 from stream.outlet import Outlet
-from stream.recording import RecorderStatus
 from stream.source import Source
 from stream.stalls import calm
 
@@ -139,8 +139,11 @@ class Session:
         return self._outcome([])
 
     def _outcome(self, compiled: list[str]) -> Outcome:
-        code = exit_code(self._error, self._down, self.log.status, self.pipeline)
-        return Outcome(self._error, code, self.table, self.folder, compiled, self._ran_s, files_of(self.pipeline))
+        files = files_of(self.pipeline)
+        inputs = [port.queue for port in self._ingress.ports]
+        missing = shortfalls(self.pipeline.outlets, self._workers.queues, inputs, self.log.status)
+        code = exit_code(self._error, self._down, missing)
+        return Outcome(self._error, code, self.table, self.folder, compiled, self._ran_s, files, missing)
 
     def _open(self) -> None:
         """Restore the state if a former session goes on, begin the recording, and compile; no device yet."""
@@ -277,14 +280,11 @@ def drain(ingress: Ingress, workers: Workers, pipeline: Pipeline, pump: Callable
     pipeline.close(lambda: workers.settle(pump))
 
 
-def exit_code(error: Exception | None, down: bool, recording: RecorderStatus | None, pipeline: Pipeline) -> int:
+def exit_code(error: Exception | None, down: bool, missing: Mapping[str, str]) -> int:
     """How a session ended, as a number: see `Outcome`."""
     if error:
         return getattr(error, "exit_code", 4)
-    if down:
-        return 3
-    lost = recording is not None and bool(recording.dropped or recording.error)
-    return 5 if lost or any(s.failed for s in pipeline.outlets) else 0
+    return 3 if down else INCOMPLETE if missing else 0
 
 
 def files_of(pipeline: Pipeline) -> dict[str, str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from stream.ceiling import ceiling, taken
+from stream.engine.shortfall import reader_of
 from stream.errors import MemoryExceeded, blaming
 from stream.metrics import rounded
 from stream.spare_memory import give_back
@@ -106,7 +107,7 @@ def _source_row(port: IngressPort, now: float) -> dict[str, Any]:
 
 
 def _stage_row(stage: Stage, waiting: Mapping[str, BoundedQueue]) -> dict[str, Any]:
-    queues = [c for name, c in waiting.items() if name.partition(" -> ")[2].rpartition(".")[0] == stage.node.name]
+    queues = [c for name, c in waiting.items() if reader_of(name) == stage.node.name]
     return {
         "kind": "outlet" if stage.node.is_outlet else "operator",
         "worker": stage.worker,
@@ -138,11 +139,12 @@ class Views(list[SessionView]):
 class Outcome:
     """How a session ended.
 
-    exit_code   0 well, 3 a device was missing, 4 the graph stopped by an error, 5 an outlet or the recording lost something
+    exit_code   0 well, 3 a device was missing, 4 the graph stopped by an error, 5 less was delivered than offered (`stream.engine.shortfall`)
     table       the last metrics
     seconds     from the common opening of the devices to their end
     files       what outlets have left, by node
     compiled    kernels that were compiled while running; there should be none
+    missing     what was offered and not delivered, in words, by outlet and source, and for "recording"
     """
 
     error: Exception | None
@@ -152,6 +154,7 @@ class Outcome:
     compiled: list[str]
     seconds: float = 0.0
     files: dict[str, str] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
 
 
 SPARE_BYTES, GIVEN_BACK_S = 256 << 10, 60.0

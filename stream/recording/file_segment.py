@@ -46,6 +46,10 @@ RECORD = struct.Struct("<BQ").pack
 """How a record begins: its opcode, and how many bytes follow."""
 
 
+class DisturbedError(OSError):
+    """Another program has deleted, moved or cut a file that is being written."""
+
+
 class FileSegment:
     """A file in which every byte up to the last `save` that returned is whole messages; a `save` that raised can be tried again."""
 
@@ -102,6 +106,7 @@ class FileSegment:
 
     def save(self, *, sync: bool = False) -> None:
         """Write everything so far. Raises OSError as the disk gives it; what it did not take is kept for the next try."""
+        self._check_place()
         self._writer.flush()  # type: ignore[no-untyped-call]
         while pieces := self._spool.pieces():
             n = os.writev(self._file, pieces) if TOGETHER else os.write(self._file, pieces[0])
@@ -110,8 +115,13 @@ class FileSegment:
         self.saved = self._written
         if sync:
             os.fsync(self._file)
-            if os.fstat(self._file).st_nlink == 0 and not self.path.exists():
-                raise FileNotFoundError(errno.ENOENT, "the file was deleted", str(self.path))
+
+    def _check_place(self) -> None:
+        """Raises DisturbedError where another program has deleted, moved or cut the file: what would be written now, nobody finds."""
+        if not self.path.exists():
+            raise DisturbedError(errno.ENOENT, "the file was deleted or moved", str(self.path))
+        if os.fstat(self._file).st_size < self._written:
+            raise DisturbedError(errno.EIO, "another program has cut the file", str(self.path))
 
     def finish(self, summary: dict[str, Any], overviews: Mapping[str, bytes]) -> None:
         """Write the end: overviews of signals, counts per stream, the index, the footer. Raises OSError; it can be tried again."""
@@ -127,7 +137,7 @@ class FileSegment:
     def abandon(self) -> None:
         """Close without an end, cut after the last whole `save`; a file into which nothing was saved is removed."""
         try:
-            os.ftruncate(self._file, self.saved)
+            os.ftruncate(self._file, min(self.saved, os.fstat(self._file).st_size))
         finally:
             os.close(self._file)
             if not self.saved:

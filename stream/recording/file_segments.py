@@ -14,7 +14,7 @@ from mcap.writer import CompressionType
 from stream.chunk import StreamSpec
 from stream.complete import private_folder
 from stream.graph import RecordingOptions
-from stream.recording.file_segment import FileSegment
+from stream.recording.file_segment import DisturbedError, FileSegment
 from stream.recording.format import LOG, METRICS, Kept, Role, table
 from stream.recording.overview import OverviewWriter, overview_of
 from stream.recording.place import part_path
@@ -58,6 +58,8 @@ class FileSegments:
         self._part: FileSegment | None = None
         self._declared = self._saves = 0
         self._closed_bytes = 0
+        self.disturbed = False
+        """Whether another program has deleted, moved or cut a file."""
         self._unsaved: list[tuple[int, int, int, int, bytes]] = []
 
     def declare(self, name: str, spec: StreamSpec, role: Role, kept: Kept = "whole") -> int:
@@ -103,6 +105,7 @@ class FileSegments:
         try:
             self._part.save(sync=sync)
         except OSError as error:
+            self.disturbed = self.disturbed or isinstance(error, DisturbedError)
             if error.errno not in FULL:
                 self._leave()
             raise

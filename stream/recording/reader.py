@@ -41,7 +41,7 @@ class Recording:
         self.path = path
         self.parts = parts
         self.header = parts[0].header
-        self.missing = missing_of(parts, open_end=open_end)
+        self.missing = missing_of(parts, open_end=open_end, from_start=path.is_dir())
         self.finished = parts[-1].finished and self.missing is None
         self.streams: dict[str, RecordedStream] = {}
         for part in parts:
@@ -52,6 +52,8 @@ class Recording:
                         f"{part.file.path}: stream {name!r} changes from {whole.spec.describe()} to {stream.spec.describe()}; "
                         "open the parts one by one"
                     )
+                if path.is_dir() and not whole.chunks:
+                    whole.dropped, whole.gaps = stream.begin, int(stream.begin > 0)
                 whole.follow(stream)
 
     @classmethod
@@ -220,3 +222,12 @@ class Recording:
         first = [s.first for s in self.streams.values() if s.first is not None]
         last = [s.last for s in self.streams.values() if s.last is not None]
         return max(last) - min(first) if first else 0
+
+
+def missing_at(path: Path) -> str:
+    """What is missing of the recording at `path`, in words; "" where nothing is."""
+    try:
+        with Recording.open(path) as recording:
+            return f"missing: {recording.missing.words}" if recording.missing else ""
+    except RecordingError:
+        return "the recording was deleted or moved"

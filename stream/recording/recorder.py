@@ -20,6 +20,7 @@ from stream.recording.format import LOG, METRICS, Kept, Role
 from stream.recording.image import is_frames
 from stream.recording.packed import Packer
 from stream.recording.place import claim, give_back
+from stream.recording.reader import missing_at
 from stream.recording.record_writer import GRACE_S, SPOOL_BYTES, RecordWriter
 from stream.recording.recorder_slot import OVERHEAD, STREAMS, RecorderSlot, RecorderStatus
 from stream.recording.recorder_thread import Handed, RecorderThread
@@ -59,6 +60,7 @@ class Recorder:
         self._path, self._options = path, options
         self._wait, self.waits, self._limit = wait, wait or waits, queue_bytes
         self._share = self._much = 0
+        self._missing = ""
         self._slots = [RecorderSlot(LOG), RecorderSlot(METRICS)]
         self._queue: SimpleQueue[Handed] = SimpleQueue()
         self._rounds = Rounds(self._slots, round(options.gather_s * NS), self._queue.put)
@@ -175,6 +177,7 @@ class Recorder:
             behind_s=max(self._rounds.newest - (self._writer.done or self._rounds.oldest), 0) / NS,
             dropped={slot.name: lost for slot in self._slots if (lost := slot.dropped + slot.refused)},
             error=self._writer.error,
+            missing=self._missing,
         )
 
     def lull(self) -> None:
@@ -196,15 +199,17 @@ class Recorder:
     def close(self) -> None:
         """Write what is left and the end, and wait for it; a disk that refuses is given up after some seconds."""
         self._thread.close()
+        if self._segments.disturbed:
+            self._missing = missing_at(self._path)
         give_back(self._path, self._lock)
 
     def check(self) -> None:
         """Raises RecordingError where something that was handed over is not on the disk; for offline work, after `close`."""
-        if self._writer.error or self.status.dropped:
+        if self.status.shortfall:
             raise self._incomplete()
 
     def _incomplete(self) -> RecordingError:
-        why = self._writer.error or "the disk was too slow"
+        why = self._writer.error or self._missing or "the disk was too slow"
         return RecordingError(
             f"{self._path}: not everything could be written ({why}); free some space or choose another folder"
         )

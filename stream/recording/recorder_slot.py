@@ -23,12 +23,20 @@ class RecorderStatus:
     behind_s   session time between the newest chunk handed over and the newest one written
     dropped    chunks that were not recorded because the disk was slow or full, by stream
     error      what the disk last said, while it refuses; "" when all is well
+    missing    once it is closed: what is missing because somebody deleted, moved or cut its files
     """
 
     bytes: int
     behind_s: float
     dropped: dict[str, int]
     error: str
+    missing: str = ""
+
+    @property
+    def shortfall(self) -> str:
+        """What was handed over and is not in the recording, in words; "" where all of it is."""
+        chunks = ", ".join(f"{n} chunks of {name}" for name, n in self.dropped.items())
+        return "; ".join(filter(None, [chunks and f"not recorded: {chunks}", self.missing, self.error]))
 
 
 @dataclass(slots=True)

@@ -131,7 +131,7 @@ def test_a_queue_that_drops_counts_and_marks_every_sample(tmp_path: Path) -> Non
   out: {use: parts.Collect, from: board, policy: block}
 """
     outcome = run(nodes, tmp_path / "s")
-    assert outcome.exit_code == 0, outcome.error
+    assert outcome.exit_code == 5 and list(outcome.missing) == ["board"]
     got = parts.numbers()
     assert got == sorted(set(got))
     assert len(got) < 2000
@@ -280,6 +280,7 @@ def test_a_slow_outlet_loses_its_own_data_and_never_the_graphs() -> None:
   out: {use: parts.Collect, from: board}
 """
     outcome = run(nodes)
+    assert outcome.exit_code == 5 and list(outcome.missing) == ["slow"]
     assert parts.numbers() == list(range(1500))
     assert outcome.table["slow"]["dropped"] > 100
     assert len(parts.numbers("slow")) + outcome.table["slow"]["dropped"] == 1500

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from stream.chunk import NS, Chunk, StreamSpec
 from stream.graph import RecordingOptions
 from stream.recording import Recorder, Recording
-from tests.support.command_line import QUIET, Command, refused
+from tests.support.command_line import GRAPH, QUIET, Command, refused
 from tests.support.disks import Disk
 
 
@@ -51,27 +52,51 @@ def test_a_disk_that_fills_up_during_a_session(kinegraph: Command, made: Path) -
     )
 
 
-def test_a_recording_that_is_deleted_while_it_is_written_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def delete(folder: Path) -> None:
+    folder.rename(folder.with_name("gone"))  # at once: nothing new may appear in it meanwhile
+    shutil.rmtree(folder.with_name("gone"))
+
+
+def rename(folder: Path) -> None:
+    folder.rename(folder.with_name("renamed"))
+
+
+def cut(folder: Path) -> None:
+    os.truncate(folder / "session.0000.mcap", 30)
+
+
+@pytest.mark.parametrize(
+    ("disturb", "complaint", "kept"),
+    [
+        (delete, "the file was deleted or moved", "missing: 10 samples before its first file"),
+        (rename, "the file was deleted or moved", "missing: 10 samples before its first file"),
+        (cut, "another program has cut the file", "missing: 10 samples before its first file"),
+    ],
+)
+def test_a_recording_that_is_disturbed_while_it_is_written_goes_on_and_counts_what_is_missing(
+    disturb: Callable[[Path], None], complaint: str, kept: str, tmp_path: Path, kinegraph: Command
 ) -> None:
-    monkeypatch.setattr("stream.recording.record_writer.SYNC_S", 0.0)
-    spec = StreamSpec((1,), rate_hz=100.0)
-    with Recorder(tmp_path / "s", {}, RecordingOptions(gather_s=0.01, flush_s=0.01)) as recorder:
-        number = recorder.add_stream("board", spec, "input")
+    spec, folder = StreamSpec((1,), rate_hz=100.0), tmp_path / "s"
+    with Recorder(folder, {"graph": GRAPH}, RecordingOptions(gather_s=0.01, flush_s=0.01)) as recorder:
+        number = recorder.add_stream("board.emg", spec, "input")
 
         def write(k: int) -> None:
             recorder.write(number, Chunk(np.array([k * NS]), np.array([[float(k)]]), k * NS), k * NS, k)
             assert recorder.flush(60.0)
 
-        write(0)
-        (tmp_path / "s").rename(tmp_path / "gone")  # at once: nothing new may appear in it meanwhile
-        shutil.rmtree(tmp_path / "gone")
-        for k in range(1, 50):  # the next writing notices; what comes after that is in a new part
+        for k in range(10):
             write(k)
-    with Recording.open(tmp_path / "s") as recording:
-        kept = recording.read("board")[1].ravel().tolist()
-        assert recording.finished and kept[-1] == 49.0 and kept == sorted(kept)
-        assert any(e["kind"] == "disk refused" and "the file was deleted" in e["error"] for e in recording.log)
+        disturb(folder)
+        for k in range(10, 20):
+            write(k)
+    assert recorder.status.shortfall == kept
+    with Recording.open(folder) as recording:
+        assert recording.read("board.emg")[1].ravel().tolist() == [float(k) for k in range(10, 20)]
+        assert not recording.finished and recording.missing and recording.missing.words in kept
+        assert any(e["kind"] == "disk refused" and complaint in e["error"] for e in recording.log)
+        stream = recording.streams["board.emg"]
+        assert (stream.samples, stream.gaps, stream.dropped) == (10, 1, 10)
+    assert "10 samples before its first file" in kinegraph("info", folder)[1]
 
 
 @pytest.fixture

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-import structlog
-
 from devices.mqtt.link import Broker, BrokerConnection
 from devices.outlets.claim import check_path
 from devices.outlets.mqtt.discovery import Device, Entity, Topics, announcement
@@ -35,7 +33,6 @@ if TYPE_CHECKING:
 FAREWELL_S, KNOCK_S, LAST_TRY_S = 2.0, 5.0, 20.0
 """At the end: how long the last states are given to arrive; how long a broker to answer, if messages wait; how long these to arrive."""
 
-log = structlog.get_logger(__name__)
 
 
 class MqttRuntime:
@@ -105,6 +102,15 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
         self.hold(MessageQueueState(""), MqttRuntime(specs, self.entities))
         return {}
 
+    @property
+    def undelivered(self) -> str:
+        messages = self.runtime.messages
+        count = messages.waiting + messages.dropped if messages else 0
+        if not count:
+            return ""
+        kept = " (the log has those of the night)" if any(history.log for history in self.history) else ""
+        return f"the MQTT broker {self.broker.host}:{self.broker.port} did not get {count} events of the history{kept}"
+
     def keep_time(self, clock: SessionClock) -> None:
         self.runtime.live_from = clock.utc_ns
 
@@ -155,12 +161,6 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
         self._wait_for_the_last(link, runtime.messages)
         runtime.link = None
         link.stop()
-        if undelivered := runtime.messages.waiting + runtime.messages.dropped:
-            broker = f"{self.broker.host}:{self.broker.port}"
-            kept = " (the log has those of the night)" if any(h.log for h in self.history) else ""
-            log.warning(
-                f"the MQTT broker did not get these events, and will not{kept}", events=undelivered, broker=broker
-            )
 
     def _wait_for_the_last(self, link: BrokerConnection, queue: MessageQueue) -> None:
         """Messages are given a bounded time as long as the broker takes them; one that is away is tried once more, at once."""

@@ -76,6 +76,10 @@ class NightLog(Outlet[LogState, LogRuntime]):
         self.hold(LogState(), LogRuntime(specs))
         return {}
 
+    @property
+    def undelivered(self) -> str:
+        return self.runtime.writer.undelivered if self.runtime.writer else ""
+
     def meet(self, graph: Graph) -> None:
         self.runtime.graph = graph
 

@@ -61,6 +61,7 @@ class NightWriter:
         """Onset of the newest epoch in a log."""
         self._waiting: list[dict[str, Any]] = []
         """Rows of a night whose folder could not be made yet: the disk is full."""
+        self.lost: list[str] = []
 
     def resume(self, now: int, held: Iterable[int]) -> None:
         """Go on with the night that was broken off, if there is one.
@@ -184,7 +185,7 @@ class NightWriter:
         for night in [*self._over]:
             if night.deleted or night.shut():
                 self._over.remove(night)
-                night.let_go()
+                self.lost.append(night.let_go())
                 if self._renderer and not night.deleted:
                     self._renderer.soon(night.folder)
 
@@ -192,7 +193,7 @@ class NightWriter:
         """Write what is left, and wait for pages that are being drawn; the open night may go on in another session."""
         self.settle()
         for late in self._over:
-            late.let_go()
+            self.lost.append(late.let_go())
         try:
             if self._renderer:
                 self._renderer.finish()
@@ -201,6 +202,12 @@ class NightWriter:
             if night:
                 night.save()
                 night.file.close()
+
+    @property
+    def undelivered(self) -> str:
+        """What is missing in the log, in words; "" where nothing is."""
+        waiting = f"{len(self._waiting)} epochs could not be written to {self.root}" if self._waiting else ""
+        return "; ".join(filter(None, [*self.lost, waiting]))
 
     def _shut(self, night: OpenNight) -> None:
         self._over.append(night)
@@ -213,7 +220,7 @@ class NightWriter:
                 "the night was deleted while it was running; the rest is kept in another folder",
                 night=self.night.folder.name,
             )
-            self.night.let_go()
+            self.lost.append(self.night.let_go())
             self.night, self._deleted = None, onset
 
 

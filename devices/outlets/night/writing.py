@@ -88,12 +88,14 @@ class OpenNight:
         self.file.write(b"")
         return not self.stale and not self.file.pending
 
-    def let_go(self) -> None:
-        """Close the file. What could not be written is reported, and ends nothing else."""
+    def let_go(self) -> str:
+        """Close the file. What could not be written is reported, ends nothing else, and is returned in words; "": nothing."""
         try:
             self.file.close()
         except DeviceError as error:
             log.error(str(error))
+            return str(error)
+        return ""
 
 
 def readable(folder: Path) -> archive.LoggedEpochs:

@@ -1,0 +1,71 @@
+"""What a run was offered and did not deliver: the one rule by which sessions, replays and batches end with exit code 5."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+from stream.errors import KinegraphError, blaming
+from stream.outlet import Outlet
+
+if TYPE_CHECKING:
+    from stream.engine.pipeline import Stage
+    from stream.engine.queues import BoundedQueue
+    from stream.recording import RecorderStatus
+
+INCOMPLETE = 5
+"""The exit code."""
+
+
+class NotDelivered(KinegraphError):
+    """Something was not written or sent; what else was is right."""
+
+    exit_code = INCOMPLETE
+
+    def __init__(self, shortfalls: Mapping[str, str]) -> None:
+        super().__init__(
+            "not everything was delivered: " + "; ".join(f"{name}: {why}" for name, why in shortfalls.items())
+        )
+
+
+def shortfalls(
+    outlets: Iterable[Stage] = (),
+    queues: Mapping[str, BoundedQueue] | None = None,
+    inputs: Iterable[BoundedQueue] = (),
+    recording: RecorderStatus | None = None,
+) -> dict[str, str]:
+    """What is missing, in words, by outlet and source, and for "recording"; empty where everything was delivered.
+
+    queues   before outlets and other nodes on workers, by name
+    inputs   behind the sources: what they drop is in no recording. What a queue before an operator drops is there, and can be replayed
+    """
+    found: dict[str, str] = {}
+    for queue in inputs:
+        if queue.dropped:
+            found[queue.name] = _dropped(queue.dropped)
+    for stage in outlets:
+        reasons = [stage.failed] if stage.failed else []
+        dropped = sum(queue.dropped for name, queue in (queues or {}).items() if reader_of(name) == stage.node.name)
+        if dropped:
+            reasons.append(_dropped(dropped))
+        assert isinstance(stage.operator, Outlet)
+        with blaming(stage.node.name, "undelivered"):
+            reasons += [stage.operator.undelivered] if stage.operator.undelivered else []
+        if reasons:
+            found[stage.node.name] = ", ".join(reasons)
+    if recording is not None and (words := recording.shortfall):
+        found["recording"] = words
+    return found
+
+
+def reader_of(queue: str) -> str:
+    """The node that reads from a queue of this name: "csv" of "board.emg -> csv.in"."""
+    return queue.partition(" -> ")[2].rpartition(".")[0]
+
+
+def _dropped(samples: int) -> str:
+    return (
+        f"{samples} samples dropped: it was too slow for what came"
+        if samples != 1
+        else "1 sample dropped: it was too slow"
+    )
