@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stream.errors import InputError
+from stream.time_text import rate
 
 Samples: TypeAlias = NDArray[np.float64]
 Times: TypeAlias = NDArray[np.int64]
@@ -105,13 +106,13 @@ class StreamSpec:
             if self.is_signal
             else f"{' x '.join(map(str, self.shape))} {self.dtype}"
         )
-        rate = f" at {self.rate_hz:g} Hz" if self.rate_hz else ", irregular"
+        at = f" at {rate(self.rate_hz)} Hz" if self.rate_hz else ", irregular"
         unit = (
             ""
             if self.is_event or not any(self.units)
             else f" in {', '.join(dict.fromkeys(u or 'no unit' for u in self.units))}"
         )
-        return kind + rate + unit
+        return kind + at + unit
 
     def to_json(self) -> dict[str, Any]:
         return {

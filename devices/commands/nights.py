@@ -13,6 +13,7 @@ import typer
 
 from stream.errors import KinegraphError
 from stream.plain import say
+from stream.time_text import in_hours
 
 if TYPE_CHECKING:
     from devices.outlets.night.weeks import NightRow
@@ -209,8 +210,7 @@ def _list(root: Path, sleeper: str, free: tuple[int, ...]) -> None:
     for folder, facts in found:
         zone, n = archive.night_zone(facts), facts.numbers
         begin = archive.clock(int(n.get("onset", facts.begun)), zone)
-        minutes = round(n.get("tst") or 0)
-        asleep = f"{minutes // 60} h {minutes % 60:02d} min" if n else ""
+        asleep = in_hours(n.get("tst") or 0) if n else ""
         shown[folder.name] = (
             folder.name, kinds.get(folder.name, ""), f"{begin:%H:%M}",
             f"{archive.clock(int(n['end']), zone):%H:%M}" if n else "goes on" if not facts.closed else "",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stream.chunk import NS
 from stream.plain import say
+from stream.time_text import moment
 
 if TYPE_CHECKING:
     from devices.files.findings import Findings
@@ -41,7 +41,7 @@ def _lines(one: Series) -> list[str]:
         lines.append(f"channels: {_some(one.spec.channels)}")
     if not len(one):
         return [*lines, "empty"]
-    lines.append(f"from {_when(int(one.time[0]))} to {_when(int(one.time[-1]))}")
+    lines.append(f"from {moment(int(one.time[0]), 4)} to {moment(int(one.time[-1]), 4)}")
     if one.spec.is_event:
         return [*lines, f"first: {_some([_event(row) for row in one.data])}"]
     lost = int(one.lost[one.lost > 0].sum()) if one.lost is not None else 0
@@ -62,10 +62,4 @@ def _some(texts: Sequence[str]) -> str:
 def _event(row: np.void) -> str:
     text = " ".join(str(row[name]) for name in row.dtype.names or () if name != "onset")
     onset = int(row["onset"]) if "onset" in (row.dtype.names or ()) else 0
-    return f"{_when(onset)} {text}".strip()
-
-
-def _when(ns: int) -> str:
-    if abs(ns) < YEAR_NS:
-        return f"{ns / NS:.4f} s"
-    return f"{datetime.fromtimestamp(ns / NS, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-2] + " UTC"
+    return f"{moment(onset, 4)} {text}".strip()

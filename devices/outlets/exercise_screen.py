@@ -10,6 +10,7 @@ from rich.text import Text
 
 from stream.chunk import NEVER, NS, Array
 from stream.plain import one_line
+from stream.time_text import elapsed
 
 PAST = np.dtype([("what", "<U24"), ("repetitions", "<i4"), ("onset", "<i8"), ("seconds", "<f8"), ("doubtful", "?")])
 NAMED = np.dtype(
@@ -125,8 +126,7 @@ def _since(state: ExerciseState, stamp: int) -> str:
     """ "since 0:14", from the first event on; "" if that is not known."""
     if NEVER in (stamp, state.began):
         return ""
-    seconds = max(0, (stamp - state.began) // NS)
-    return f"since {seconds // 60}:{seconds % 60:02d}"
+    return f"since {elapsed(max(0, stamp - state.began) / NS, hours=False)}"
 
 
 def _before(state: ExerciseState) -> list[str]:

@@ -19,6 +19,7 @@ from rich.text import Text
 from stream.graph import Graph
 from stream.plain import plain
 from stream.screen import Screen
+from stream.time_text import elapsed, rate
 
 REFRESH_HZ = 2.0
 LINE_S = 10.0
@@ -101,7 +102,7 @@ class LiveView(TerminalView):
     def panel(self) -> RenderableType:
         if not self.metrics:
             return Text.assemble((self.name, "bold"), f"  {WAITING}")
-        head = Text.assemble((self.name, "bold"), f"  {_clock(self.elapsed_s)}  ", (HINT, "dim"))
+        head = Text.assemble((self.name, "bold"), f"  {elapsed(self.elapsed_s)}  ", (HINT, "dim"))
         return Group(head, Columns([*self.notices.values(), metrics_table(self.metrics)], padding=(0, 4)))
 
 
@@ -116,7 +117,7 @@ class LineView(TerminalView):
         super().update(metrics)
         if self.elapsed_s >= self._next:
             self._next = self.elapsed_s + LINE_S
-            self._say(f"{_clock(self.elapsed_s)}  {metrics_line(metrics)}")
+            self._say(f"{elapsed(self.elapsed_s)}  {metrics_line(metrics)}")
 
     def hang_out(self, title: str, notice: RenderableType, line: str) -> None:
         if line:
@@ -158,7 +159,7 @@ def metrics_table(metrics: Metrics) -> Table:
         )
         table.add_row(
             name,
-            f"{row.get('rate_hz', 0.0):.1f}",
+            rate(row.get("rate_hz", 0.0), 1),
             _number(row.get("p50_us")),
             _number(row.get("p99_us")),
             str(row.get("queue", 0)),
@@ -177,7 +178,9 @@ def metrics_table(metrics: Metrics) -> Table:
 
 def metrics_line(metrics: Metrics) -> str:
     """The same in one line: the sources' rates, the slowest node, and all that was lost."""
-    rates = [f"{n} {r['rate_hz']:.0f}/s" for n, r in metrics.items() if r.get("kind") == "source" and r.get("rate_hz")]
+    rates = [
+        f"{n} {rate(r['rate_hz'], 0)}/s" for n, r in metrics.items() if r.get("kind") == "source" and r.get("rate_hz")
+    ]
     timed = {n: float(r["p99_us"]) for n, r in metrics.items() if r.get("p99_us")}
     slowest = max(timed, key=timed.__getitem__, default="")
     parts = [", ".join(rates) or "nothing comes in"]
@@ -201,12 +204,6 @@ class _logs_to:
 
     def __exit__(self, *_: object) -> None:
         structlog.configure(logger_factory=self._before)
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
 def _number(value: float | None) -> str:

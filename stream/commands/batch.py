@@ -57,8 +57,8 @@ def batch(
     from stream.batch.study import batch as run
     from stream.batch.work import Common
     from stream.commands import logs
-    from stream.engine.shortfall import NotDelivered
     from stream.graph.load import read_text
+    from stream.shortfall import NotDelivered
 
     logs.set_up()
     path, text = read_text(config)

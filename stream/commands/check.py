@@ -16,11 +16,12 @@ from stream.graph import Edge, Graph, Node, overrides
 from stream.graph.drawing import shown
 from stream.graph.load import load
 from stream.graph.parts import beside, import_from
-from stream.graph.plan import Decision, Plan, duration, plan, refuse_late
+from stream.graph.plan import Decision, Plan, plan, refuse_late
 from stream.graph.shipped import resolve
 from stream.graph.yaml_lines import parse
 from stream.plain import say
 from stream.screen import Screen
+from stream.time_text import delay
 
 WIDE = 120
 """Columns from which nodes and paths are tables."""
@@ -122,7 +123,7 @@ def _paths(planned: Plan) -> Table:
     table.add_column("where from", overflow="fold")
     table.add_column("memory", justify="right")
     for path in planned.paths:
-        table.add_row(str(path), duration(path.delay_s), path.explain(), size(path.memory_bytes))
+        table.add_row(str(path), delay(path.delay_s), path.explain(), size(path.memory_bytes))
     return table
 
 
@@ -137,8 +138,8 @@ def _events(planned: Plan) -> Table:
 
 def _after(decided: Decision) -> str:
     """When an event comes: "200 ms after its end or onset, 240 ms with the delay of its input"."""
-    told = f"{duration(decided.after_s)} after its end or onset"
-    return f"{told}, {duration(decided.total_s)} with the delay of what it is found in"
+    told = f"{delay(decided.after_s)} after its end or onset"
+    return f"{told}, {delay(decided.total_s)} with the delay of what it is found in"
 
 
 def _unread(graph: Graph) -> list[str]:
@@ -155,9 +156,9 @@ def _unread(graph: Graph) -> list[str]:
 
 def _verdict(graph: Graph, planned: Plan) -> Text:
     slowest = planned.slowest
-    delay = duration(slowest.delay_s) if slowest else "0 ms"
+    late = delay(slowest.delay_s if slowest else 0.0)
     budget = f" (budget {graph.latency_budget_ms:g} ms)" if graph.latency_budget_ms else ""
-    told = f": delay at most {delay}{budget}, memory about {size(planned.memory_bytes)}"
+    told = f": delay at most {late}{budget}, memory about {size(planned.memory_bytes)}"
     return Text.assemble(("OK", "bold green"), told)
 
 

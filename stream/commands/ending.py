@@ -149,6 +149,15 @@ class Ending:
         if call is None or call.lasts_s < LOOK_S / 2 or self._told == call.since:
             return
         self._told = call.since
+        if not call.where:  # it was given no data: an outlet writes what it leaves, or a state is saved
+            if (stage := session.pipeline.stages[call.node]).node.is_outlet:
+                file = getattr(stage.operator, "file", "")
+                log.info(
+                    "writing the report" if file.endswith(".html") else "an outlet writes what is left",
+                    node=call.node,
+                    file=file,
+                )
+            return
         now = session.clock.now()
         session.log.report(
             "node hangs", node=call.node, since=utc(now - int(call.lasts_s * NS)), given=call.where.strip(),

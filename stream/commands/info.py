@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stream.time_text import duration, moment, rate
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -128,17 +130,19 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
 
     header = recording.header
     lacking = f"; missing: {recording.missing.words}" if recording.missing else ""
-    state = "" if recording.finished else f" (not closed cleanly{lacking}; `kinegraph recover` finishes it)"
+    broken_off = not all(part.finished for part in recording.parts)
+    how = f"not closed cleanly{lacking}; `kinegraph recover` finishes it" if broken_off else f"not complete{lacking}"
+    state = "" if recording.finished else f" ({how})"
     size = sum(part.file.size for part in recording.parts) / 1e6
     parts = f", {len(recording.parts)} parts" if len(recording.parts) > 1 else ""
-    told = f": {_duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"
+    told = f": {duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"
     console.print(Text.assemble((str(recording.path), "bold"), (state, "yellow"), told))
     if (
         recording.streams
         and (first := min((s.first for s in recording.streams.values() if s.first is not None), default=None))
         is not None
     ):
-        console.print(f"begins {_when(first)}")
+        console.print(f"begins {moment(first)}")
     for title in ("session", "imported", "versions"):
         if header.get(title):
             console.print(f"{title}: " + ", ".join(f"{k} {_listed(v)}" for k, v in header[title].items()))
@@ -190,14 +194,14 @@ def _streams(recording: Recording, wide: bool) -> Table:
     ):
         table.add_column(heading, justify="right" if justify == "right" else "left", overflow="fold")
     for name, s in recording.streams.items():
-        rate = f"{s.rate_hz:.2f}" if s.spec.rate_hz and s.rate_hz else ""
+        measured = rate(s.rate_hz, 2) if s.spec.rate_hz and s.rate_hz else ""
         table.add_row(
             *(
                 name,
                 s.role,
                 str(s.samples),
-                _duration(s.duration_s),
-                rate,
+                duration(s.duration_s),
+                measured,
                 str(s.gaps),
                 str(s.lost),
                 str(s.dropped),
@@ -228,25 +232,4 @@ def _list(console: Screen, title: str, lines: list[str], most: int | None) -> No
 def _line(entry: dict[str, Any]) -> str:
     rest = {k: v for k, v in entry.items() if k not in ("time", "kind", "onset", "level")}
     words = " ".join(f"{k}={v}" if k != "text" else str(v) for k, v in rest.items())
-    return " ".join(filter(None, [_when(int(entry.get("onset", entry["time"]))), entry.get("kind", ""), words]))
-
-
-def _when(ns: int) -> str:
-    """A time as people read it; one near 1970 is that of a file without a date, and is shown in seconds."""
-    from datetime import UTC, datetime
-
-    from stream.chunk import utc
-
-    if not abs(ns) < 1 << 62:
-        return utc(ns)
-    if abs(ns) < 366 * 86_400 * 1_000_000_000:
-        return f"{ns / 1e9:.3f} s"
-    return f"{datetime.fromtimestamp(ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.2f} s"
-    minutes, rest = divmod(seconds, 60)
-    hours, minutes = divmod(int(minutes), 60)
-    return f"{hours}:{minutes:02d}:{rest:04.1f} h" if hours else f"{minutes}:{rest:04.1f} min"
+    return " ".join(filter(None, [moment(int(entry.get("onset", entry["time"]))), entry.get("kind", ""), words]))

@@ -119,8 +119,8 @@ def _recorded(source: Recording, path: Path, verify: bool) -> list[str]:
 
 def _check_whole(result: Replayed, run: Replay, source: Recording) -> None:
     """Raises NotDelivered, or Incomplete where the recording was not closed cleanly."""
-    from stream.engine.shortfall import NotDelivered, shortfalls
     from stream.recording.place import is_running
+    from stream.shortfall import NotDelivered, shortfalls
 
     if missing := shortfalls(run.pipeline.outlets):
         raise NotDelivered(missing)

@@ -14,7 +14,7 @@ from stream.chunk import FOREVER, NS, Chunk, empty
 from stream.engine.edge import Observer, Push
 from stream.engine.pipeline import Pipeline, Stage
 from stream.engine.queues import recorded_drops
-from stream.engine.status import SessionView, Table, table_of_replay
+from stream.engine.status import Rates, SessionView, Table, table_of_replay
 from stream.engine.substitutes import Substitutes
 from stream.engine.warmup import Compilations, warm_up
 from stream.graph import Edge, Graph
@@ -119,6 +119,7 @@ class Replay:
         self._stopping = False
         self.view: SessionView | None = None
         self._table: Table = {}
+        self._rates = Rates()
         self._due = 0.0
         edges = {name: edge for name, edge in self.pipeline.edges.items() if name not in self.pipeline.entries}
         self._inside = {name: Inside() for name in edges} if strict else {}
@@ -224,7 +225,7 @@ class Replay:
             progress(result.seconds)
 
     def _tell(self, view: SessionView) -> None:
-        self._due, self._table = time.monotonic() + TOLD_S, table_of_replay(self.pipeline, self._table)
+        self._due, self._table = time.monotonic() + TOLD_S, table_of_replay(self.pipeline, self._rates)
         view.update(self._table)
 
     def _close(self) -> None:

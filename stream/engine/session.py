@@ -27,16 +27,15 @@ from stream.engine.pipeline import Pipeline
 from stream.engine.queues import DROPPED, ReadyQueue
 from stream.engine.resume import catch_up
 from stream.engine.session_log import PriorSession, SessionLog
-from stream.engine.shortfall import INCOMPLETE, shortfalls
-from stream.engine.status import MemoryWatch, Outcome, SessionView, Table, recording_row, table_of
+from stream.engine.status import MemoryWatch, Outcome, Rates, SessionView, Table, recording_row, table_of
 from stream.engine.supervisor import GRACE_S, REST_S, Runner
 from stream.engine.warmup import Compilations, warm_up
 from stream.engine.workers import Call, Watchdog, Workers
-from stream.errors import KinegraphError, asked_to_end, blaming
-from stream.graph import Graph, Node
+from stream.errors import KinegraphError, asked_to_end
+from stream.graph import Graph, is_live
 from stream.graph.suited import refuse_unsuited
 from stream.outlet import Outlet
-from stream.source import Source
+from stream.shortfall import INCOMPLETE, shortfalls
 from stream.stalls import calm
 
 TICK_S = 0.2
@@ -52,7 +51,6 @@ class Session:
     folder       where the recording and the checkpoint go; None: nothing is recorded
     resume       go on with the session that was broken off in `folder`
     duration_s   end after this long; 0: when stopped, or when every source has ended
-    view         shown the metrics once a second
     now(), turn  session time (ns): the clock's, or without live sources how far data have come;  whether all are ready: `turn.open`
     """
 
@@ -75,14 +73,14 @@ class Session:
         self._error: Exception | None = None
         self._began, self._ran_s, self._asked_by = 0.0, 0.0, ""
         self.table: Table = {}
-        waits = not any(_is_live(node) for node in graph.sources)
+        waits = not is_live(graph)
         self.log = SessionLog(folder, graph, self.clock, self._prior, waits=waits)
         self._workers = Workers(self._ready, waits, self._fail, partial(self.log.report, DROPPED))
         self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge, stop=self.stop)
         self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
         self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
         self.now, self._watchdog = self._ingress.time.now, Watchdog(self.pipeline.slots.values())
-        self.turn, self._memory = self._ingress.turn, MemoryWatch(graph.memory_mb, self.pipeline)
+        self.turn, self._memory, self._rates = self._ingress.turn, MemoryWatch(graph.memory_mb, self.pipeline), Rates()
 
     def stop(self, by: str = "") -> None:
         """End the session cleanly, and say `by` which signal that was asked; may be called from any thread and from a signal handler."""
@@ -140,8 +138,7 @@ class Session:
 
     def _outcome(self, compiled: list[str]) -> Outcome:
         files = files_of(self.pipeline)
-        inputs = [port.queue for port in self._ingress.ports]
-        missing = shortfalls(self.pipeline.outlets, self._workers.queues, inputs, self.log.status)
+        missing = shortfalls(self.pipeline.outlets, self._workers.queues, self._ingress.ports, self.log.status)
         code = exit_code(self._error, self._down, missing)
         return Outcome(self._error, code, self.table, self.folder, compiled, self._ran_s, files, missing)
 
@@ -199,8 +196,7 @@ class Session:
             raise self._error
 
     def _measure(self, *, last: bool = False) -> None:
-        """Read the metrics; the `last` ones keep the rates from when samples still came."""
-        self.table = table_of(self.pipeline, self._ingress.ports, self._workers, self.log.status, self.table, last=last)
+        self.table = table_of(self.pipeline, self._ingress.ports, self._workers, self.log.status, self._rates)
         self.log.metrics(self.table)
         self._error = self._error or (None if last else self._memory.exceeded())
         if self._view:
@@ -260,13 +256,6 @@ class SessionPage(SessionView, Protocol):
     def __enter__(self) -> Self: ...
 
     def __exit__(self, *error: object) -> None: ...
-
-
-def _is_live(node: Node) -> bool:
-    """Whether a source, not a person, gives what is gone if nobody reads it."""
-    assert isinstance(node.part, Source)
-    with blaming(node.name, "live"):
-        return node.part.live and not node.part.background
 
 
 def drain(ingress: Ingress, workers: Workers, pipeline: Pipeline, pump: Callable[[], None]) -> None:

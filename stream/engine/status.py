@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from stream.ceiling import ceiling, taken
-from stream.engine.shortfall import reader_of
+from stream.chunk import FOREVER, NEVER, NS
 from stream.errors import MemoryExceeded, blaming
 from stream.metrics import rounded
+from stream.shortfall import reader_of
 from stream.spare_memory import give_back
 
 if TYPE_CHECKING:
@@ -25,52 +27,63 @@ Table: TypeAlias = dict[str, dict[str, Any]]
 """Per stream of a source ("board.emg"), per node, and for "recording": named numbers with units in their names."""
 
 
+RATE_NS = 10 * NS
+"""A rate is over so much sample time."""
+
+
+class Rates:
+    """How many samples a second there are, over the last ten seconds of each stream's own time: in whatever bursts they come."""
+
+    __slots__ = ("_seen",)
+
+    def __init__(self) -> None:
+        self._seen: dict[str, deque[tuple[int, int]]] = {}
+
+    def of(self, name: str, samples: int, until: int) -> float:
+        """The rate of a stream that is complete up to `until` (ns), with so many samples; 0.0 as long as too little is known."""
+        seen = self._seen.setdefault(name, deque())
+        if until not in (NEVER, FOREVER) and (not seen or until > seen[-1][0]):
+            seen.append((until, samples))
+        while len(seen) > 2 and seen[-1][0] - seen[1][0] >= RATE_NS:
+            seen.popleft()
+        if len(seen) < 2:
+            return 0.0
+        (begin, before), (end, now) = seen[0], seen[-1]
+        return round((now - before) * NS / (end - begin), 2)
+
+
 def table_of(
     pipeline: Pipeline,
     ports: Iterable[IngressPort],
     workers: Workers,
     recording: RecorderStatus | None,
-    before: Table | None = None,
-    *,
-    last: bool = False,
+    rates: Rates,
 ) -> Table:
-    """The table now; `before` is the one read last, for rates, and the `last` table keeps those. Reading it starts a new interval of the
-    timings."""
+    """The table now. Reading it starts a new interval of the timings."""
     now = time.monotonic()
     pipeline.fold(least=1)
     table: Table = {}
     for port in ports:
-        table[port.stream] = _source_row(port, now)
+        table[port.stream] = row = _source_row(port, now)
+        rate = rates.of(port.stream, row["samples"], port.edge.told)
+        row["rate_hz"] = 0.0 if row["state"] == "stale" else rate
     for name, stage in pipeline.stages.items():
-        table[name] = _stage_row(stage, workers.queues)
-    _rate(table, before or {}, now, last=last)
+        table[name] = _stage_row(stage, workers.queues, rates)
     if recording:
         table["recording"] = recording_row(recording)
     return table
 
 
-def table_of_replay(pipeline: Pipeline, before: Table) -> Table:
+def table_of_replay(pipeline: Pipeline, rates: Rates) -> Table:
     """The same of a replay, into which recorded streams are fed."""
     pipeline.fold(least=1)
     table: Table = {}
     for name, edge in pipeline.entries.items():
-        table[name] = {"kind": "source", "samples": edge.samples, "gaps": edge.gaps, "lost": edge.lost}
+        rate = rates.of(name, edge.samples, edge.told)
+        table[name] = {"kind": "source", "samples": edge.samples, "gaps": edge.gaps, "lost": edge.lost, "rate_hz": rate}
     for name, stage in pipeline.stages.items():
-        table[name] = _stage_row(stage, {})
-    _rate(table, before, time.monotonic())
+        table[name] = _stage_row(stage, {}, rates)
     return table
-
-
-def _rate(table: Table, before: Table, now: float, *, last: bool = False) -> None:
-    """Put in how many samples a second there were since the table `before`; the `last` one keeps its rates."""
-    for name, row in table.items():
-        old = before.get(name)
-        row["at_s"] = round(now, 3)
-        row["rate_hz"] = (
-            round((row["samples"] - old["samples"]) / (now - old["at_s"]), 2) if old and now > old["at_s"] else 0.0
-        )
-        if last and old:
-            row["rate_hz"] = old["rate_hz"]
 
 
 def recording_row(recording: RecorderStatus) -> dict[str, Any]:
@@ -106,12 +119,14 @@ def _source_row(port: IngressPort, now: float) -> dict[str, Any]:
     }
 
 
-def _stage_row(stage: Stage, waiting: Mapping[str, BoundedQueue]) -> dict[str, Any]:
+def _stage_row(stage: Stage, waiting: Mapping[str, BoundedQueue], rates: Rates) -> dict[str, Any]:
     queues = [c for name, c in waiting.items() if reader_of(name) == stage.node.name]
+    samples = sum(edge.samples for edge in stage.feeds)
     return {
         "kind": "outlet" if stage.node.is_outlet else "operator",
         "worker": stage.worker,
-        "samples": sum(edge.samples for edge in stage.feeds),
+        "samples": samples,
+        "rate_hz": rates.of(stage.node.name, samples, max((edge.told for edge in stage.feeds), default=NEVER)),
         **rounded(stage.timing.read()),
         "queue": sum(c.depth for c in queues),
         "dropped": sum(c.dropped for c in queues),
@@ -139,7 +154,7 @@ class Views(list[SessionView]):
 class Outcome:
     """How a session ended.
 
-    exit_code   0 well, 3 a device was missing, 4 the graph stopped by an error, 5 less was delivered than offered (`stream.engine.shortfall`)
+    exit_code   0 well, 3 a device was missing, 4 the graph stopped by an error, 5 less was delivered than offered: `missing`
     table       the last metrics
     seconds     from the common opening of the devices to their end
     files       what outlets have left, by node

@@ -17,7 +17,7 @@ from stream.clock import SessionClock
 from stream.engine.admission import conform, ordered, soundness
 from stream.engine.queues import BoundedQueue, ReadyQueue
 from stream.errors import DeviceError, KinegraphError, RunError, blaming, explain, nearest
-from stream.graph import Edge, Node
+from stream.graph import Edge, Node, policy_of
 from stream.promise import END, MOST_LOST, PromiseError, impossible
 from stream.source import Source
 
@@ -162,7 +162,7 @@ class Runner:
         with blaming(node.name, "fresh"):
             self.source: Source = node.part.fresh()
             self.live = self.source.live
-        options, policy = node.options, node.options.policy or "block"
+        options, policy = node.options, policy_of(node, live=self.live)
         bound = most_bytes(policy, live=self.live)
         self.queues = {
             output: BoundedQueue(str(Edge(node.name, output)), ready, options.queue, policy, bound=bound)

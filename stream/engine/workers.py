@@ -19,7 +19,7 @@ from stream.engine.edge import CallSlot, InputPort, Push, given
 from stream.engine.pipeline import Stage
 from stream.engine.queues import BoundedQueue, Drops, ReadyQueue
 from stream.errors import RunError
-from stream.graph import Edge
+from stream.graph import Edge, policy_of
 
 UNLIMITED = 1 << 62
 
@@ -77,7 +77,7 @@ class Workers:
     def bridge(self, stage: Stage, port: str, edge: Edge, push: Push) -> Push:
         """A queue before `stage`'s port; the stage runs on its worker."""
         options = stage.node.options
-        policy: Policy = options.policy or ("drop_oldest" if stage.node.is_outlet and not self._waits else "block")
+        policy = policy_of(stage.node, live=not self._waits)
         name = f"{edge} -> {stage.node.name}.{port}"
         if stage.worker:
             if stage.worker not in self.workers:

@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar
 
 from stream.backpressure import Policy
 from stream.chunk import Specs, StreamSpec
+from stream.errors import blaming
 from stream.graph.page_options import PageOptions
 from stream.operator import Operator
 from stream.params import param
@@ -123,6 +124,12 @@ class Node:
         return isinstance(self.part, Operator) and self.part.is_outlet
 
 
+def policy_of(node: Node, *, live: bool) -> Policy:
+    """What a full queue behind a source, or before another node, does: what the graph says, or else, before an outlet of a session that is
+    `live`, it drops the oldest chunk; otherwise the writer waits."""
+    return node.options.policy or ("drop_oldest" if node.is_outlet and live else "block")
+
+
 @dataclass(slots=True)
 class Graph:
     """A checked graph. `nodes` is in topological order."""
@@ -195,3 +202,13 @@ class RecordingOptions:
     gather_s: float = param(0.1, least=0.0)
     flush_s: float = param(0.5, above=0.0)
     frames: Literal["packed", "image"] = "packed"
+
+
+def is_live(graph: Graph) -> bool:
+    """Whether a source, not a person, gives what is gone if nobody reads it. Then an outlet may not make the graph wait."""
+    for node in graph.sources:
+        assert isinstance(node.part, Source)
+        with blaming(node.name, "live"):
+            if node.part.live and not node.part.background:
+                return True
+    return False

@@ -9,8 +9,9 @@ from stream.backpressure import held_bytes, most_bytes
 from stream.ceiling import ceiling
 from stream.chunk import StreamSpec
 from stream.errors import GraphError, blaming
-from stream.graph import Edge, Graph, Node
+from stream.graph import Edge, Graph, Node, is_live, policy_of
 from stream.source import Source
+from stream.time_text import delay
 
 _CHUNK_S = 0.02
 """What a chunk is taken to cover where the source does not say."""
@@ -66,9 +67,9 @@ class Path:
         """Where the delay comes from: "board 10 ms + envelope 24 ms = 34 ms"."""
         parts: list[str] = []
         for step in self.steps:
-            parts += [f"{step.node} waits {duration(step.wait_s)}"] if step.wait_s > 1e-9 else []
-            parts += [f"{step.node} {duration(step.delay_s)}"] if step.delay_s else []
-        return f"{' + '.join(parts) or 'nothing'} = {duration(self.delay_s)}"
+            parts += [f"{step.node} waits {delay(step.wait_s)}"] if step.wait_s > 1e-9 else []
+            parts += [f"{step.node} {delay(step.delay_s)}"] if step.delay_s else []
+        return f"{' + '.join(parts) or 'nothing'} = {delay(self.delay_s)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,28 +175,19 @@ def _step(graph: Graph, node: Node) -> Step:
         with blaming(node.name, "chunk_s"):
             chunk_s = part.chunk_s
         with blaming(node.name, "live"):
-            bound = most_bytes(node.options.policy or "block", live=part.live)
+            bound = most_bytes(policy_of(node, live=part.live), live=part.live)
         chunks = [_chunk_bytes(spec, chunk_s) for spec in node.specs.values()]
         return Step(node.name, chunk_s, sum(held_bytes(node.options.queue, size, bound) for size in chunks))
     held = node.declared.memory_bytes
     if node.options.worker or node.is_outlet:
         waiting = [_chunk_bytes(spec, 0.0) for spec in graph.input_specs(node).values()]
-        policy = node.options.policy or ("drop_oldest" if node.is_outlet else "block")
-        bound = most_bytes(policy, live=any(_is_live(source.part) for source in graph.sources))
+        live = is_live(graph)
+        bound = most_bytes(policy_of(node, live=live), live=live)
         held += sum(held_bytes(node.options.queue, size, bound) for size in waiting)
     return Step(node.name, node.declared.delay_s, held)
-
-
-def _is_live(part: object) -> bool:
-    return isinstance(part, Source) and part.live and not part.background
 
 
 def _chunk_bytes(spec: StreamSpec, chunk_s: float) -> int:
     """About what one chunk takes: its samples and their stamps; an irregular stream is taken to bring one sample at a time."""
     samples = max(1, round((chunk_s or _CHUNK_S) * spec.rate_hz)) if spec.rate_hz else 1
     return _CHUNK_BYTES + samples * (spec.sample_bytes + 8)
-
-
-def duration(seconds: float) -> str:
-    """A delay for people."""
-    return f"{seconds * 1e3:.4g} ms" if seconds < 9.9995 else f"{seconds:.4g} s"

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import pytest
 
+from stream.backpressure import held_bytes
+from stream.engine.session import Session
 from stream.errors import GraphError
-from stream.graph import Graph
+from stream.graph import Graph, policy_of
 from stream.graph.load import load_text
-from stream.graph.plan import duration, plan
+from stream.graph.plan import plan
+from stream.shortfall import reader_of
+from stream.time_text import delay
 from tests.engine.test_load import nodes
+from tests.support import SUPPORT
 
 TWO_WAYS = """
     slow: {use: graph_parts.Low, from: board, order: 10}
@@ -35,7 +40,7 @@ def test_a_source_adds_the_time_that_its_chunks_cover() -> None:
     text = nodes("low: {use: graph_parts.Low, from: board}").replace("Board", "Board\n    covers_s: 0.02")
     (path,) = plan(load_text(text)).paths
     assert path.explain() == "board 20 ms + low 4 ms = 24 ms"
-    assert [duration(seconds) for seconds in (0.2393, 9.9, 31.03, 7200.0)] == [
+    assert [delay(seconds) for seconds in (0.2393, 9.9, 31.03, 7200.0)] == [
         "239.3 ms",
         "9900 ms",
         "31.03 s",
@@ -77,6 +82,27 @@ def test_memory_counts_states_and_queues() -> None:
     )
     assert one - none == 8000, "the state of Low; the same chunks wait before the outlet"
     assert worker - one == 10 * (300 + 20 * (16 + 8)), "ten chunks of 20 ms wait before the worker"
+
+
+@pytest.mark.parametrize("live", ["true", "false"])
+@pytest.mark.parametrize("policy", ["", ", policy: block", ", policy: drop_oldest"])
+def test_the_plan_counts_the_queues_that_a_session_makes(live: str, policy: str) -> None:
+    text = f"""
+nodes:
+  board: {{use: parts.Counting, realtime: {live}, queue: 20000}}
+  aside: {{use: parts.RunningSum, from: board, worker: x, queue: 20000{policy}}}
+  out: {{use: parts.Collect, from: board, queue: 20000{policy}}}
+"""
+    loaded = load_text(text, path=str(SUPPORT / "graph.yaml"))
+    steps = {step.node: step.memory_bytes for path in plan(loaded).paths for step in path.steps}
+    session = Session(loaded)
+    queues = session._workers.queues | {"board": session._ingress.ports[0].queue}
+    chunk = 300 + 20 * (2 * 8 + 8)
+    for name, queue in queues.items():
+        node = reader_of(name) or name
+        held = loaded.nodes[node].declared.memory_bytes
+        assert steps[node] - held == held_bytes(queue.limit, chunk, queue.bound) or node == "board", node
+        assert queue.policy == policy_of(loaded.nodes[node], live=live == "true")
 
 
 def test_a_late_graph_is_refused_with_the_path_and_its_parts() -> None:

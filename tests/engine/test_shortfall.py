@@ -21,7 +21,6 @@ from stream.batch.study import BatchState
 from stream.chunk import Chunk, Specs, StreamSpec
 from stream.engine.queues import BoundedQueue
 from stream.engine.session import exit_code
-from stream.engine.shortfall import INCOMPLETE, shortfalls
 from stream.engine.workers import Workers
 from stream.errors import DeviceError, RunError
 from stream.graph import Edge
@@ -29,6 +28,7 @@ from stream.graph.model import NodeOptions
 from stream.graph.parts import catalogue
 from stream.outlet import Outlet
 from stream.recording import RecorderStatus
+from stream.shortfall import INCOMPLETE, shortfalls
 
 SPEC = StreamSpec((1,), rate_hz=1000.0)
 OUTLETS = [use for use, part in catalogue(("devices",))[0].items() if issubclass(part, Outlet)]
@@ -82,7 +82,9 @@ def test_what_a_sources_queue_drops_is_missing_and_what_an_operators_drops_is_in
     queue = BoundedQueue("board.emg", SimpleQueue(), 1, "drop_oldest")
     for k in range(3):
         queue.put(sample(k))
-    assert shortfalls(inputs=[queue]) == {"board.emg": "2 samples dropped: it was too slow for what came"}
+    assert shortfalls(inputs=[SimpleNamespace(queue=queue)]) == {
+        "board.emg": "2 samples dropped: it was too slow for what came"
+    }
     assert shortfalls([stage_of(Quiet())], {"board.emg -> network.in": queue}) == {}
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from devices.outlets.night.archive import Facts, LoggedEpochs, clock, night_zone
 from stream.chunk import NS
+from stream.time_text import about, in_hours
 
 CAVEATS = (
     "It estimates sleep and wake from movement.",
@@ -77,8 +78,8 @@ def table(facts: Facts, epochs: LoggedEpochs) -> list[ReportRow]:
         return []
     time_in_bed = "from going to bed to leaving it, as it was seen" if n["estimated"] else "lights off to lights on"
     made = [
-        ReportRow("Time in bed (TIB)", hours(n["tib"]), "", f"{time_in_bed}"),
-        ReportRow("Total sleep time (TST)", hours(n["tst"]), _bounds(n, "tst", hours), "all epochs of sleep in the time in bed"),
+        ReportRow("Time in bed (TIB)", in_hours(n["tib"]), "", f"{time_in_bed}"),
+        ReportRow("Total sleep time (TST)", in_hours(n["tst"]), _bounds(n, "tst", in_hours), "all epochs of sleep in the time in bed"),
         ReportRow("Sleep efficiency (SE)", f"{_plain(n['se'])} %", _bounds(n, "se", _plain), "TST / TIB"),
         ReportRow(
             f"Sleep onset latency (SOL){', estimated' if n['estimated'] else ''}", _minutes(n["sol"]), _bounds(n, "sol", _minutes),
@@ -86,7 +87,7 @@ def table(facts: Facts, epochs: LoggedEpochs) -> list[ReportRow]:
         ),
         ReportRow("Wake after sleep onset (WASO)", _minutes(n["waso"]), _bounds(n, "waso", _minutes), WASO[n["convention"]]),
         ReportRow("Awakenings", str(n["awakenings"]), "", f"stretches of wake; on average {_minutes(n['mean_awakening'])}"),
-        ReportRow("Longest sleep in one piece", hours(n["longest_bout"]), "", "without an epoch of wake or unknown"),
+        ReportRow("Longest sleep in one piece", in_hours(n["longest_bout"]), "", "without an epoch of wake or unknown"),
         ReportRow("Bed exits", str(len(exits(facts))), "", "times out of bed between two times in it"),
         ReportRow("Movement index", f"{_plain(n['movement'])} %", "", "epochs with movement, from the first to the last sleep"),
         ReportRow("Fragmentation index", f"{_plain(n['fragmentation'])} %", "", "movement index + share of still stretches up to 1 min"),
@@ -225,11 +226,10 @@ def runs(which: np.ndarray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def _when(stretch: Stretch, zone: object) -> str:
-    begin, end = clock(stretch.begin, zone), clock(stretch.end, zone)  # type: ignore[arg-type]
-    seconds = (stretch.end - stretch.begin) / NS
+def _when(gap: Stretch, zone: object) -> str:
+    begin, end = clock(gap.begin, zone), clock(gap.end, zone)  # type: ignore[arg-type]
     span = f"{begin:%H:%M}–{end:%H:%M}" if f"{begin:%H:%M}" != f"{end:%H:%M}" else f"{begin:%H:%M}"
-    return f"{span} ({f'{seconds:.0f} s' if seconds < 90 else f'{seconds / 60:.3g} min'})"
+    return f"{span} ({about((gap.end - gap.begin) / NS)})"
 
 
 def _bounds(numbers: dict[str, object], name: str, write: object) -> str:
@@ -238,13 +238,6 @@ def _bounds(numbers: dict[str, object], name: str, write: object) -> str:
     if low is None or high is None or low == high:
         return ""
     return f"{write(low)} – {write(high)}"  # type: ignore[operator]
-
-
-def hours(minutes: float | None) -> str:
-    if minutes is None:
-        return "–"
-    whole = round(minutes)
-    return f"{whole // 60} h {whole % 60:02d} min"
 
 
 def _minutes(minutes: float | None) -> str:

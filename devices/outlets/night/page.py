@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 
 from devices.outlets.night import archive
@@ -18,6 +17,7 @@ from devices.outlets.night.plain import headline, sentence
 from stream.chunk import Samples
 from stream.complete import write_complete
 from stream.errors import KinegraphError
+from stream.time_text import now
 
 
 def draw(folder: Path) -> Path:
@@ -82,7 +82,7 @@ def render(
         no_numbers=NO_NUMBERS[facts.closed],
         method=_method(facts),
         **_figures(facts, epochs, motion, {} if failed is None else failed),
-        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        made=now(),
         epochs=archive.EPOCHS,
         edf=archive.DRAWN[2],
         failed=failed or {},

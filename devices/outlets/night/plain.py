@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from devices.outlets.night.archive import Facts, LoggedEpochs, clock, night_zone
-from devices.outlets.night.numbers import NO_NUMBERS, hours, runs
+from devices.outlets.night.numbers import NO_NUMBERS, runs
+from stream.time_text import in_hours
 
 COUNTED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
@@ -46,7 +47,7 @@ def headline(facts: Facts) -> str:
 def _long(minutes: float | None) -> str:
     """6 h 20 min; 35 min below an hour."""
     whole = round(minutes or 0.0)
-    return f"{whole} min" if whole < 60 else hours(whole)
+    return f"{whole} min" if whole < 60 else in_hours(whole)
 
 
 def _count(number: int) -> str:

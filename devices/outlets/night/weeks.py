@@ -273,14 +273,6 @@ def by_weeks(of: Sequence[NightRow], months: bool = False) -> list[tuple[str, da
     return [(name, *ends) for name, ends in sorted(found.items())]
 
 
-def hour(value: float) -> str:
-    """Hours after noon as a time of day."""
-    if value != value:
-        return "–"
-    minutes = round(60 * value)
-    return f"{(minutes // 60 + 12) % 24:02d}:{minutes % 60:02d}"
-
-
 def _day(part: LoggedEpochs, start: int) -> Samples:
     day = np.full(SLOTS, np.nan)
     for k in range(len(part)):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from devices.outlets.night.numbers import CAVEATS, hours, runs
+from devices.outlets.night.numbers import CAVEATS, runs
 from devices.outlets.night.weeks import (
     SLOTS,
     Difference,
@@ -18,7 +18,6 @@ from devices.outlets.night.weeks import (
     Trend,
     by_weeks,
     compare,
-    hour,
     missing,
     part_trend,
     trend,
@@ -26,6 +25,7 @@ from devices.outlets.night.weeks import (
 )
 from stream.complete import write_complete
 from stream.sheet import sheet_text
+from stream.time_text import hour_of_day, in_hours, now
 
 Period = tuple[date, date]
 WIDE, HIGH, LEFT = 720, 9, 96
@@ -40,7 +40,7 @@ def table(of: Sequence[NightRow], since: date | None = None, until: date | None 
     chosen = within(of, since, until)
     lost = [[day.isoformat(), "", "missing", *[""] * (len(COLUMNS) - 3)] for day in missing(chosen, since, until)]
     made = [
-        [r.evening.isoformat(), r.name, r.kind, *(hour(t) if t == t else "" for t in (r.bed, r.rise, r.middle)),
+        [r.evening.isoformat(), r.name, r.kind, *(hour_of_day(t) if t == t else "" for t in (r.bed, r.rise, r.middle)),
          *(f"{v:.4g}" if v == v else "" for v in (r.in_bed, r.asleep, r.awake, r.unknown, r.efficiency))]
         for r in chosen
     ]  # fmt: skip
@@ -103,7 +103,7 @@ def page(
         periods=[f"{a:%d.%m.%Y} to {b:%d.%m.%Y}" for a, b in periods],
         differences=[_written(d) for d in differences],
         caveats=CAVEATS,
-        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        made=now(),
     )  # fmt: skip
 
 
@@ -115,10 +115,10 @@ HEADS = (
 def cells(of: Trend) -> list[str]:
     """A line of the table of trends, as in HEADS."""
     spread = [f" ± {60 * s:.0f} min" if s == s else "" for s in (of.bed_sd, of.rise_sd)]
-    asleep = hours(of.asleep) if of.asleep == of.asleep else "–"
+    asleep = in_hours(of.asleep) if of.asleep == of.asleep else "–"
     efficiency = f"{of.efficiency:.0f} %" if of.efficiency == of.efficiency else "–"
     lag = f"{_signed(60 * of.jet_lag)} min" if of.jet_lag == of.jet_lag else "–"
-    times = (hour(of.bed) + spread[0], hour(of.rise) + spread[1])
+    times = (hour_of_day(of.bed) + spread[0], hour_of_day(of.rise) + spread[1])
     counts = (str(of.nights), str(of.missing), str(of.naps))
     return [*counts, asleep, efficiency, *times, lag, _whole(of.regularity)]
 
@@ -133,8 +133,8 @@ def words(of: Trend) -> list[str]:
     if of.unfinished:
         told.append(f"{_many(of.unfinished, 'night')} without numbers.")
     if of.nights:
-        told.append(f"Asleep {hours(of.asleep)} a night, {of.efficiency:.0f} % of the time in bed.")
-        told.append(f"In bed from {hour(of.bed)} to {hour(of.rise)} on average.")
+        told.append(f"Asleep {in_hours(of.asleep)} a night, {of.efficiency:.0f} % of the time in bed.")
+        told.append(f"In bed from {hour_of_day(of.bed)} to {hour_of_day(of.rise)} on average.")
     if of.bed_sd == of.bed_sd:
         told.append(f"Bed time scatters by {60 * of.bed_sd:.0f} min, rise time by {60 * of.rise_sd:.0f} min (SD).")
     if of.jet_lag == of.jet_lag:
@@ -184,7 +184,7 @@ def _values(d: Difference) -> tuple[float, ...]:
 
 def _written(d: Difference) -> list[str]:
     clock = d.unit == "h"
-    sides = [hour(v) if clock else f"{v:.0f} {d.unit}" for v in (d.first, d.second)]
+    sides = [hour_of_day(v) if clock else f"{v:.0f} {d.unit}" for v in (d.first, d.second)]
     scale, unit = (60, "min") if clock else (1, d.unit)
     known = np.isfinite([d.low, d.high]).all()
     interval = f"{_signed(scale * d.low)} to {_signed(scale * d.high)}" if known else "–"
@@ -199,4 +199,4 @@ def _signed(value: float) -> str:
 def _cell(name: str, value: float) -> str:
     if value != value:
         return ""
-    return hour(value) if name in ("bed", "rise") else f"{value:.4g}"
+    return hour_of_day(value) if name in ("bed", "rise") else f"{value:.4g}"

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from devices.outlets.report.data import Curves, Muscle, Report, ReportValue, Str
 from devices.outlets.report.words import normalisation_text
 from stream.chunk import NS
 from stream.complete import write_complete
+from stream.time_text import elapsed, now, time_of_day
 
 AT_TIMES = 0.1
 """From this share of bad windows on, a channel that is good on the whole is named."""
@@ -73,8 +73,8 @@ def render(report: Report, curves: Curves) -> str:
         stance=f"{stance:.1f}" if np.isfinite(stance) else "",
         single=min(len(curves.single), report_curves.SINGLE),
         limits=limits(report),
-        ended=_clock(report.ended),
-        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        ended=time_of_day(report.ended),
+        made=now(),
         cell=_cell,
         number=_number,
         thousands=lambda n: f"{n:,}".replace(",", " "),
@@ -183,8 +183,8 @@ def _figures(report: Report) -> list[dict[str, str]]:
         figures.append(
             {"text": text, "spread": spread, "label": f"{value.label} ({value.unit})" if value.unit else value.label}
         )
-    minutes, seconds = divmod(round(max(0, report.ended - report.started) / NS), 60)
-    figures.append({"text": f"{minutes}:{seconds:02d}", "spread": "", "label": "session (min:s)"})
+    lasted = elapsed(round(max(0, report.ended - report.started) / NS), hours=False)
+    figures.append({"text": lasted, "spread": "", "label": "session (min:s)"})
     return figures
 
 
@@ -216,10 +216,6 @@ def _cell(value: tuple[float, float], decimals: int) -> Any:
     return Markup(
         f"{number:.{decimals}f}" + (f" <small>± {spread:.{decimals}f}</small>" if np.isfinite(spread) else "")
     )
-
-
-def _clock(time: int) -> str:
-    return datetime.fromtimestamp(time / NS, UTC).strftime("%H:%M:%S UTC")
 
 
 def main() -> None:

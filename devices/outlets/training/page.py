@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from devices.outlets.training.rows import Exercise, Training, exercises
 from stream.chunk import NEVER, NS
+from stream.time_text import elapsed, minute, now
 
 BAR_WIDTH, BARS_HEIGHT = 9, 46
 """Pixels of a repetition's bar, and of the longest one's height."""
@@ -31,16 +32,16 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
     return environment.get_template("page.html.j2").render(
         title=title,
         facts=[(key.replace("_", " "), str(value)) for key, value in facts.items()],
-        began=_clock(training.began),
+        began="" if training.began == NEVER else minute(training.began),
         sets=sets,
         totals=totals(sets),
-        lasted=minutes(lasted),
+        lasted=elapsed(lasted, hours=False),
         repetitions=sum(one.repetitions for one in sets),
         left_out=training.left_out,
         unit=unit,
         table=table,
         number=number,
-        minutes=minutes,
+        minutes=partial(elapsed, hours=False),
         bars=bars,
         courses=courses(sets, lasted),
         mean=lambda values: float(np.nanmean(values)) if np.isfinite(values).any() else np.nan,
@@ -49,7 +50,7 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
         doubtful=any(one.doubtful for one in sets),
         questioned=any(one.name.endswith("?") for one in sets),
         shown=any(np.isfinite(one.distances).any() for one in sets),
-        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        made=now(),
     )
 
 
@@ -103,12 +104,3 @@ def courses(sets: list[Exercise], lasted: float) -> list[dict[str, Any]]:
 
 def number(value: float, digits: int = 1) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "–"
-
-
-def minutes(seconds: float) -> str:
-    """0:14, 12:03."""
-    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}" if np.isfinite(seconds) else "–"
-
-
-def _clock(stamp: int) -> str:
-    return "" if stamp == NEVER else datetime.fromtimestamp(stamp / NS, UTC).strftime("%Y-%m-%d %H:%M UTC")

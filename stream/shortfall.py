@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from stream.errors import KinegraphError, blaming
 from stream.outlet import Outlet
@@ -15,6 +15,13 @@ if TYPE_CHECKING:
 
 INCOMPLETE = 5
 """The exit code."""
+
+
+class Port(Protocol):
+    """An output of a source."""
+
+    @property
+    def queue(self) -> BoundedQueue: ...
 
 
 class NotDelivered(KinegraphError):
@@ -31,18 +38,18 @@ class NotDelivered(KinegraphError):
 def shortfalls(
     outlets: Iterable[Stage] = (),
     queues: Mapping[str, BoundedQueue] | None = None,
-    inputs: Iterable[BoundedQueue] = (),
+    inputs: Iterable[Port] = (),
     recording: RecorderStatus | None = None,
 ) -> dict[str, str]:
     """What is missing, in words, by outlet and source, and for "recording"; empty where everything was delivered.
 
-    queues   before outlets and other nodes on workers, by name
-    inputs   behind the sources: what they drop is in no recording. What a queue before an operator drops is there, and can be replayed
+    queues   before outlets and other nodes on workers, by name. What one before an operator drops is in the recording, and can be replayed
+    inputs   the sources' outputs: what their queues drop is in no recording
     """
     found: dict[str, str] = {}
-    for queue in inputs:
-        if queue.dropped:
-            found[queue.name] = _dropped(queue.dropped)
+    for port in inputs:
+        if port.queue.dropped:
+            found[port.queue.name] = _dropped(port.queue.dropped)
     for stage in outlets:
         reasons = [stage.failed] if stage.failed else []
         dropped = sum(queue.dropped for name, queue in (queues or {}).items() if reader_of(name) == stage.node.name)
