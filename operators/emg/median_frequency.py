@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.gait.cycle import CLOSED, CLOSED_UNITS, is_closed
+from operators.gait.cycle import CLOSED, CLOSED_UNITS, REASONS, is_closed
+from operators.gait.history import ACCEPTED, CycleHistory
 from operators.gait.limbs import Belonging
 from operators.gait.recent_samples import RecentSamples
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
@@ -26,10 +27,14 @@ FREQUENCY = np.dtype(
 
 @dataclass(slots=True)
 class MedianFrequencyState:
-    """sums (5, m): of 1, t, t t, f, t f over the cycles so far, t in minutes from the first cycle, `began`."""
+    """
+    sums (5, m)   of 1, t, t t, f, t f over the cycles so far, t in minutes from the first cycle, `began`
+    history       (3, m) minutes, median and mean of the latest cycles
+    """
 
     recent: RecentSamples
     sums: Samples
+    history: CycleHistory
     began: int
     period: int
     limbs: Belonging
@@ -45,7 +50,8 @@ class MedianFrequency(Operator[MedianFrequencyState]):
 
     The median falls as a muscle tires (De Luca, J. Appl. Biomech. 13, 1997), in contractions that do not move; walking, it also follows the
     phase, the speed and the electrode, so compare like cycles. Of several limbs a cycle has its own limb's muscles only. Cycles with a
-    gap or a value that is not finite have no event for that muscle. Memory: `longest_s` of signal, twice.
+    gap or a value that is not finite have no event for that muscle. A cycle that is reported again, among the latest 64, replaces what it
+    gave. Memory: `longest_s` of signal, twice.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "closed")
@@ -71,7 +77,9 @@ class MedianFrequency(Operator[MedianFrequencyState]):
             shape=(1, m), dtype=np.dtype(np.float64), channels=tuple(names), units=("",), channel_axis=1
         )
         limbs = Belonging.of(closed)
-        state = MedianFrequencyState(RecentSamples.of(keep, m), np.zeros((5, m)), -1, spec.period_ns, limbs, names)
+        state = MedianFrequencyState(
+            RecentSamples.of(keep, m), np.zeros((5, m)), CycleHistory.none(3, m), -1, spec.period_ns, limbs, names
+        )
         self.hold(state, decision_s={"out": 0.0})
         meta = {**spec.meta, **{k: v for k, v in specs["closed"].meta.items() if k in ("limbs", "muscles", "side")}}
         units = ("ns", "ns", "", "", "", "Hz", "Hz", "%/min", "")
@@ -87,7 +95,7 @@ class MedianFrequency(Operator[MedianFrequencyState]):
                 s.recent.append(chunk.time[part], np.asarray(chunk.data[part], np.float64))
         else:
             for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
-                made = self._cycle(row) if not row["rejected"] else np.empty(0, FREQUENCY)
+                made = self._closed(row)
                 rows.append(made)
                 stamps += [stamp] * len(made)
         data = np.concatenate([np.empty(0, FREQUENCY), *rows])
@@ -109,35 +117,54 @@ class MedianFrequency(Operator[MedianFrequencyState]):
         }
         return [Case(cls(), inputs, least=40), Case(cls(low_hz=0.0, high_hz=500.0, longest_s=1.0), inputs, least=40)]
 
-    def _cycle(self, row: np.void) -> Array:
+    def _closed(self, row: np.void) -> Array:
+        """A cycle has ended, or is reported again: its events."""
+        s, number, reason = self.state, int(row["number"]), str(row["rejected"])
+        before = s.history.note(number, REASONS.index(reason) if reason else ACCEPTED)
+        kept = s.history.take(number)
+        if before == ACCEPTED:
+            self._add(kept, -1)
+        measured = kept if reason else self._measured(row)
+        measured = kept if np.isnan(measured).all() else measured
+        s.history.put(number, measured)
+        if reason:
+            return np.empty(0, FREQUENCY)
+        self._add(measured, 1)
+        made = np.zeros(len(s.names), FREQUENCY)
+        for name in ("onset", "end", "number"):
+            made[name] = row[name]
+        made["muscle"], made["name"] = np.arange(len(s.names)), s.names
+        made["median_hz"], made["mean_hz"] = measured[1:]
+        made["slope_pct_per_min"], made["cycles"] = self._slopes(), s.sums[0]
+        return np.asarray(made[np.isfinite(measured[1])])
+
+    def _measured(self, row: np.void) -> Samples:
+        """Minutes since the first cycle, median and mean frequency (3, m) of the cycle's signal; NaN where that has a gap or is gone."""
         s, onset, end = self.state, int(row["onset"]), int(row["end"])
         a, b = s.recent.after(onset - 1), s.recent.after(end - 1)
         time, x = s.recent.time[a:b], s.recent.data[a:b]
         newest = int(s.recent.time[s.recent.fill - 1]) if s.recent.fill else onset
         edges = np.diff(time, prepend=onset, append=end)
+        measured = np.full((3, len(s.names)), np.nan)
         if len(time) < 16 or newest - onset > self.longest_s * NS or (edges > 1.5 * s.period).any():
-            return np.empty(0, FREQUENCY)
+            return measured
         s.began = onset if s.began < 0 else s.began
-        made = np.zeros(len(s.names), FREQUENCY)
-        for name in ("onset", "end", "number"):
-            made[name] = row[name]
-        made["muscle"], made["name"] = np.arange(len(s.names)), s.names
-        made["median_hz"], made["mean_hz"] = _frequencies(x, NS / s.period, self.low_hz, self.high_hz)
-        known = np.isfinite(made["median_hz"]) & s.limbs.mine(row)
-        self._slopes(made, known, (onset - s.began) / (60 * NS))
-        return np.asarray(made[known])
+        measured[1:] = _frequencies(x, NS / s.period, self.low_hz, self.high_hz)
+        measured[0] = (onset - s.began) / (60 * NS)
+        measured[:, ~(np.isfinite(measured[1]) & s.limbs.mine(row))] = np.nan
+        return measured
 
-    def _slopes(self, made: Array, known: Array, minutes: float) -> None:
-        s, f = self.state, np.where(known, made["median_hz"], 0.0)
-        s.sums += np.where(
-            known, np.stack([np.ones_like(f), np.full_like(f, minutes), np.full_like(f, minutes**2), f, minutes * f]), 0
-        )
-        n, t, tt, y, ty = s.sums
+    def _add(self, measured: Samples, count: int) -> None:
+        minutes, f = np.nan_to_num(measured[:2])
+        ones = np.isfinite(measured[1]).astype(np.float64)
+        self.state.sums += count * np.stack([ones, minutes, minutes**2, f, minutes * f])
+
+    def _slopes(self) -> Samples:
+        n, t, tt, y, ty = self.state.sums
         with np.errstate(invalid="ignore", divide="ignore"):
             slope = (n * ty - t * y) / (n * tt - t * t)
             first = (y - slope * t) / n
-            made["slope_pct_per_min"] = np.where(n >= 10, 100 * slope / first, np.nan)
-        made["cycles"] = n
+            return np.asarray(np.where(n >= 10, 100 * slope / first, np.nan))
 
 
 def _frequencies(x: Samples, rate_hz: float, low_hz: float, high_hz: float) -> tuple[Samples, Samples]:

@@ -164,14 +164,17 @@ class LimbSymmetry(Operator[SymmetryState]):
         limb, number = s.limbs.index(str(row["limb"])), int(row["number"])
         found = np.flatnonzero(s.numbers[limb] == number)
         k = int(found[0]) if len(found) else int(s.seen[limb] % REVISABLE)
-        if limb == 1:
-            self._take_out(k)
-        else:
-            for other in np.flatnonzero((s.partner == s.numbers[0, k]) & (s.partner >= 0)).tolist():
-                self._take_out(other)
-                s.changed[1, other] = len(found) > 0
         if not len(found):
             s.seen[limb] += 1
+            if limb == 1:
+                self._forget(k)
+        elif limb == 1:
+            self._take_out(k)
+        else:
+            for other in np.flatnonzero((s.partner == number) & (s.partner >= 0)).tolist():
+                self._take_out(other)
+            later = s.onsets[1] - int(row["onset"])
+            s.changed[1, (s.numbers[1] >= 0) & (later > 0) & (later < s.ends[1] - s.onsets[1])] = 1
         s.numbers[limb, k], s.onsets[limb, k], s.ends[limb, k] = number, row["onset"], row["end"]
         s.values[limb, k] = np.nan
         s.changed[limb, k] = 0
@@ -214,6 +217,11 @@ class LimbSymmetry(Operator[SymmetryState]):
     def _take_out(self, k: int) -> None:
         s = self.state
         s.session.remove(s.indices[k][None])
+        self._forget(k)
+
+    def _forget(self, k: int) -> None:
+        """The second limb's cycle at `k` can no longer be revised; its pair stays in the session's mean."""
+        s = self.state
         s.indices[k], s.partner[k] = np.nan, -1
 
     def _pair_rows(self, j: int, k: int) -> Array:
