@@ -21,7 +21,9 @@ UNRESTED = "look at the electrode and its cable: there is noise, or another musc
 SIZE, REST = 0, 1
 MEASURES = (("its curve", "its curve has another size", RESIZED), ("its rest", "its rest is another", UNRESTED))
 QUIET_PCT = 10
-"""A curve's rest is the mean of this many of its lowest points."""
+"""A curve's rest is this percentile of its points: its lowest ones are the low-pass's undershoot beside steep bursts."""
+NOISE_SHARE = 0.005
+"""What is below this part of the first curve's peak is baseline noise, not a rest that could be higher or lower."""
 ADVICE = "look whether its leads were swapped with the other's; cycles since then belong to the other muscle"
 
 
@@ -33,6 +35,7 @@ class PatternWatchState:
     on, agreed (m,)              the muscle whose pattern each has (-1: its own), and cycles in a row that say otherwise
     sized (2, 2, m)              of size and rest: 1: another than at first; cycles in a row that say otherwise
     level (100, m), within (m,)  sum of each muscle's first cycles in the stage under way; how many it has in it;  stage: of each limb
+    newest (l,)                  the highest number of each limb's cycles: one that is reported again counts once
     """
 
     expected: Expected
@@ -46,6 +49,7 @@ class PatternWatchState:
     level: Samples
     within: Times
     stage: StageUnderWay
+    newest: Times
     limbs: Belonging
     names: list[str]
 
@@ -58,8 +62,9 @@ class PatternWatch(Operator[PatternWatchState]):
     correlates by `clearly` more with the other's pattern than with its own, and by 0.7 at least, in `cycles` cycles in a row; the alarm is
     over when it has been its own again for as long. Told `latest` / 2 + `cycles` cycles after a swap or so. Muscles that are alike from the
     start are not told apart. A muscle has another size where the mean of its latest cycles' curves is `times` as high as that of its first
-    ones or more, or as much lower, for as many cycles in a row; over below half of that change. Its rest, the mean of that curve's ten
-    lowest points, is compared in the same way (`times_rest`): noise that is small beside a burst. Where `closed` has stages
+    ones or more, or as much lower, for as many cycles in a row; over below half of that change. Its rest, that curve's 10th
+    percentile, but at least 0.5 % of the first curve's peak, is compared in the same way (`times_rest`): noise that is small beside a
+    burst. A muscle has one alarm at a time, and another's pattern replaces another size or rest. Where `closed` has stages
     (`operators.gait.stages.Stages`), these are the stage's first cycles: at another speed of the belt a muscle has another size, but its
     pattern still.
     """
@@ -79,11 +84,13 @@ class PatternWatch(Operator[PatternWatchState]):
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
         m, limbs, longest_s = spec.shape[1], Belonging.of(spec), longest_cycle_s(specs["closed"])
+        ways = max(1, len(limbs.names))
         self.hold(
             PatternWatchState(
                 Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((self.latest, POINTS, m)),
                 np.zeros(m, np.int64), np.full(m, -1), np.zeros(m, np.int64), np.zeros((2, 2, m), np.int64),
-                np.zeros((POINTS, m)), np.zeros(m, np.int64), StageUnderWay.none(max(1, len(limbs.names))), limbs, list(spec.channels),
+                np.zeros((POINTS, m)), np.zeros(m, np.int64), StageUnderWay.none(ways), np.full(ways, -1), limbs,
+                list(spec.channels),
             ),
             decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
@@ -110,8 +117,9 @@ class PatternWatch(Operator[PatternWatchState]):
         limb = s.limbs.names.index(str(closed["limb"])) if s.limbs.names else 0
         if s.stage.begins(limb, closed):
             self._begin_again(found, (stamp, int(closed["onset"])), s.limbs.mine(closed))
-        if not s.stage.holds(limb, int(closed["number"])):
+        if not s.stage.holds(limb, int(closed["number"])) or closed["number"] <= s.newest[limb]:
             return
+        s.newest[limb] = closed["number"]
         mine = np.flatnonzero(s.limbs.mine(closed) & ~np.isnan(curve).any(axis=0))
         for i in mine.tolist():
             if s.within[i] < self.first:
@@ -123,18 +131,23 @@ class PatternWatch(Operator[PatternWatchState]):
             s.recent[s.seen[i] % self.latest, :, i] = curve[:, i]
             s.seen[i] += 1
         ready = mine[(s.taken[mine] >= self.first) & (s.seen[mine] >= self.first + self.latest)]
+        when = stamp, int(closed["onset"])
+        self._patterns(found, when, ready)
         for i in ready[s.within[ready] >= self.first + self.latest].tolist():
             level, now = s.level[:, i] / self.first, s.recent[:, :, i].mean(axis=0)
-            when = stamp, int(closed["onset"])
+            noise = NOISE_SHARE * max(float(level.max()), 0.0)
             self._size(found, when, i, SIZE, (float(level.mean()), float(now.mean()), self.times))
-            self._size(found, when, i, REST, (_rest(level), _rest(now), self.times_rest))
+            self._size(found, when, i, REST, (_rest(level, noise), _rest(now, noise), self.times_rest))
+
+    def _patterns(self, found: FoundAlarms, when: tuple[int, int], ready: Times) -> None:
+        s = self.state
         if len(ready) < 2:
             return
         like = likeness(s.recent[:, :, ready].mean(axis=0), s.first[:, ready])
         for k, i in enumerate(ready.tolist()):
             best = int(like[k].argmax())
             other = like[k, best] > max(0.7, like[k, k] + self.clearly)
-            self._tell(found, (stamp, int(closed["onset"])), i, int(ready[best]) if other else -1)
+            self._tell(found, when, i, int(ready[best]) if other else -1)
 
     def _begin_again(self, found: FoundAlarms, when: tuple[int, int], mine: Array) -> None:
         """Another stage has begun: what a limb's muscles had before is no measure for their size."""
@@ -154,7 +167,7 @@ class PatternWatch(Operator[PatternWatchState]):
         off = max(ratio, 1 / ratio)
         other = off >= (1 + (times - 1) / 2 if sized[0, i] else times)
         sized[1, i] = 0 if other == bool(sized[0, i]) else sized[1, i] + 1
-        if sized[1, i] >= self.cycles:
+        if sized[1, i] >= self.cycles and not (other and self._explained(i, kind)):
             sized[:, i] = int(other), 0
             what, over, advice = MEASURES[kind]
             told = f"{what} is {ratio:.2g} times as high as at first" if other else over
@@ -162,16 +175,24 @@ class PatternWatch(Operator[PatternWatchState]):
                 (when[0], (when[1], self.state.names[i], ON if other else OVER, told, advice if other else ""))
             )
 
+    def _explained(self, i: int, kind: int) -> bool:
+        """Whether a muscle has an alarm already, of which another size or rest is a symptom."""
+        s = self.state
+        return bool(s.on[i] >= 0 or s.sized[1 - kind, 0, i])
+
     def _tell(self, found: FoundAlarms, when: tuple[int, int], i: int, like: int) -> None:
         s = self.state
         s.agreed[i] = 0 if like == s.on[i] else s.agreed[i] + 1
         if s.agreed[i] < self.cycles:
             return
+        for kind in np.flatnonzero(s.sized[:, 0, i]).tolist() if like >= 0 else ():
+            found.append((when[0], (when[1], s.names[i], OVER, MEASURES[kind][1], "")))
+            s.sized[kind, :, i] = 0
         was, s.on[i], s.agreed[i] = int(s.on[i]), like, 0
         what = f"its curve is that of {s.names[like if like >= 0 else was]}"
         row = (when[1], s.names[i], ON if like >= 0 else OVER, what, ADVICE if like >= 0 else "")
         found.append((when[0], row))
 
 
-def _rest(curve: Samples) -> float:
-    return float(np.sort(curve)[: len(curve) * QUIET_PCT // 100].mean())
+def _rest(curve: Samples, noise: float) -> float:
+    return max(float(np.percentile(curve, QUIET_PCT)), noise)
