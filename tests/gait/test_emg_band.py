@@ -47,9 +47,9 @@ def test_a_difference_is_found_where_it_is_and_seldom_where_there_is_none() -> N
         (walks(rng, 30), walks(rng, 30, 2.0)),
         [(walks(rng, 30), walks(rng, 30)) for _ in range(40)],
     )
-    places = _band("TA", before, after).places
+    places = _band("TA", before, after, 0.0).places
     assert {46, 48, 50, 52, 54} <= set(places) and all(40 <= p <= 60 for p in places)
-    assert sum(bool(_band("TA", a, b).places) for a, b in alike) <= 6, "at most 5 % of them, in the long run"
+    assert sum(bool(_band("TA", a, b, 0.0).places) for a, b in alike) <= 6, "at most 5 % of them, in the long run"
 
 
 @pytest.mark.skipif(not SPM1D, reason="KINEGRAPH_SPM1D names no folder with spm1d, which is GPL and kept apart")
@@ -63,5 +63,5 @@ def test_it_is_where_spm1d_finds_one(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     pairs = list(zip(json.loads(done.stdout), before, after, strict=True))
-    apart = [set(theirs) ^ set(_band("TA", a, b).places) for theirs, a, b in pairs]
+    apart = [set(theirs) ^ set(_band("TA", a, b, 0.0).places) for theirs, a, b in pairs]
     assert max(map(len, apart)) <= 6, "of 100 points, at the edges of what both find"

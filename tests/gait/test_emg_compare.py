@@ -10,7 +10,7 @@ from scipy.cluster.hierarchy import linkage
 from typer.testing import CliRunner
 
 from operators.emg.commands.compare import compare
-from operators.emg.commands.comparison import compare_sessions, scatter, standardised
+from operators.emg.commands.comparison import _band, compare_sessions, scatter, standardised
 from operators.emg.commands.comparison_page import stretches
 from operators.emg.commands.session_cycles import _leave_out, check_alike, joined, read_sessions
 from operators.emg.commands.train_model import emg_model
@@ -176,6 +176,79 @@ def test_two_legs_of_one_session_stand_beside_each_other_muscle_by_muscle(tmp_pa
     with_file = PeakMixtures(cycles=500).open({port: one[0] for port, one in two_legs(4)[2].items()})["mixture"]
     made = read_references(tmp_path / "both.npz", with_file, ["L_TA", "L_SO", "R_SO", "R_TA"])
     assert (made.modes > 0).all() and made.cycles.tolist() == [20, 20, 20, 20], "each leg's own cycles"
+
+
+def staged(path, scale):
+    """A recorded session of two legs in two stages, of which the second is faster; `scale` holds each leg's size."""
+    *_, both = two_legs(20)
+    spec, stamps, curves = both["cycles"]
+    for i, name in enumerate(spec.channels):
+        curves[:, :, i] *= scale[name[0]]
+    both["cycles"] = (spec, stamps, curves)
+    _, when, rows = both["closed"]
+    named = np.zeros(len(rows), [*LIMB_CLOSED.descr, ("stage", "<U32"), ("speed_m_s", "<f8")])
+    for name in rows.dtype.names:
+        named[name] = rows[name]
+    named["limb"] = np.where(rows["number"] % 2 == 1, "left", "right")
+    named["stage"] = np.where(np.arange(len(rows)) < 20, "slow", "fast")
+    named["duration_s"] = np.where(named["stage"] == "fast", 0.9, 1.4)
+    both["closed"] = (StreamSpec((), named.dtype, units=("",)), when, named)
+    return session(path, both)
+
+
+def test_each_leg_and_stage_is_compared_with_the_same_leg_and_stage_of_the_other_session(tmp_path):
+    before = staged(tmp_path / "before.mcap", {"L": 1.0, "R": 2.0})
+    after = staged(tmp_path / "after.mcap", {"L": 1.0, "R": 3.0})
+    done = run(compare, before, after, "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    told = done.output.replace("\n", " ")
+    for name in ("TA left, slow", "TA left, fast", "SO left, slow"):
+        assert f"{name}: divergence 0.000, means differ nowhere" in told, told
+    assert "TA right, slow: divergence" in told and "TA right, slow: divergence 0.000" not in told
+    with (tmp_path / "out" / "comparison.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["what"] == "difference at 30 %"]
+    pairs = {(row["session"], row["other"]) for row in rows}
+    assert pairs == {
+        (f"before {leg} {stage}", f"after {leg} {stage}") for leg in ("left", "right") for stage in ("slow", "fast")
+    }
+    assert "may be the speed" not in told and "different speeds" not in told
+
+
+def test_the_legs_of_one_recording_are_compared_stage_by_stage(tmp_path):
+    path = staged(tmp_path / "one.mcap", {"L": 1.0, "R": 2.0})
+    done = run(compare, path, "-o", tmp_path / "out")
+    assert "TA slow: divergence" in done.output and "TA fast: divergence" in done.output, done.output
+
+
+def test_what_cannot_be_paired_and_speeds_that_are_pooled_are_reported(tmp_path, three):
+    legs = staged(tmp_path / "legs.mcap", {"L": 1.0, "R": 1.0})
+    told = run(compare, three[0], legs, "-o", tmp_path / "out").output.replace("\n", " ")
+    assert "no two have the same leg and stage" in told
+    mixed = bursts(20, seed=4)
+    mixed["closed"][2]["duration_s"][:10] = 2.3
+    told = run(compare, three[0], session(tmp_path / "mixed.mcap", mixed), "-o", tmp_path / "out", "--overwrite").output
+    assert "different speeds are in one mean" in told.replace("\n", " ")
+
+
+def test_a_difference_is_shown_only_where_it_exceeds_its_interval_and_what_is_relevant():
+    rng = np.random.default_rng(1)
+    shape = 20 * np.exp(-(((np.arange(100) - 40) / 5) ** 2))
+    before, after = (shape * size + 0.3 + off + 0.005 * rng.random((30, 100)) for size, off in ((1, 0), (1.5, 0.02)))
+    silent = np.r_[0:15, 65:100]
+    assert set(silent) <= set(_band("SO", before, after, 0.0).places), "they do differ, by 0.02 % MVC"
+    places = set(_band("SO", before, after, 5.0).places)
+    assert 40 in places and not places & set(silent.tolist())
+    assert _band("SO", before, after, 50.0).places == []
+
+
+def test_the_last_verdict_on_a_cycle_counts():
+    judged = np.array(
+        [(3, "SO", False), (3, "SO", True), (4, "TA", True), (4, "TA", False)],
+        [("number", "i8"), ("name", "U8"), ("used", "?")],
+    )
+    curves = np.ones((2, 5, 2))
+    _leave_out(judged, np.array([3, 4]), curves, StreamSpec((2,), channels=("TA", "SO")))
+    assert np.isnan(curves).any(axis=1).tolist() == [[False, False], [True, False]]
 
 
 def test_what_a_review_left_out_is_nan_in_its_cycle_and_muscle_alone():

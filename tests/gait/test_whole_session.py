@@ -183,7 +183,9 @@ def test_the_numbers_of_the_report_are_of_all_cycles_of_the_session(walk, counte
     assert np.allclose([cadence.value, cadence.spread], [np.mean(expected), np.std(expected, ddof=1)])
     final = {(int(row["number"]), str(row["name"])): row for row in statistics[2] if int(row["number"]) in counted}
     for i, (name, mine) in enumerate(curves.items()):
-        assert np.allclose(drawn.mean[:, i], mine.mean(axis=0)) and np.allclose(drawn.sd[:, i], mine.std(axis=0, ddof=1))
+        assert np.allclose(drawn.mean[:, i], mine.mean(axis=0)) and np.allclose(
+            drawn.sd[:, i], mine.std(axis=0, ddof=1)
+        )
         for field, running in zip(numbers(specs["statistics"]), tally.fields, strict=True):
             if field == "peak_pct":
                 continue  # a circular mean, compared above for bursts

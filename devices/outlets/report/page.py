@@ -16,6 +16,7 @@ from devices.outlets.report.words import normalisation_text
 from stream.chunk import NS
 from stream.complete import write_complete
 from stream.time_text import elapsed, now, time_of_day
+from stream.units import shown
 
 AT_TIMES = 0.1
 """From this share of bad windows on, a channel that is good on the whole is named."""
@@ -45,22 +46,21 @@ def render(report: Report, curves: Curves) -> str:
     stance = report.stance_percent
     return environment.get_template("page.html.j2").render(
         r=report,
-        unit=pretty(report.unit),
-        pretty=pretty,
-        pretty_text=lambda text: text.replace(" uV", " µV"),
+        unit=shown(report.unit),
+        shown=shown,
         lost=_lost,
         columns=3 if len(report.muscles) > 4 else 2,
         judged=any(m.verdict for m in report.muscles),
-        shown=_shown(report, curves),
+        drawn=_shown(report, curves),
         stage_svgs=report_curves.draw_stages(
-            curves, [m.name for m in report.muscles], report.stages, pretty(report.unit)
+            curves, [m.name for m in report.muscles], report.stages, shown(report.unit)
         )
         if report.stages
         else [],
         active_svg=report_curves.draw_active(curves.active, [m.name for m in report.muscles])
         if any(grid.title == "Bursts" for grid in report.grids) and curves.active.size
         else "",
-        mode_svgs=report_curves.draw_modes(curves, [m.name for m in report.muscles], report.modes, pretty(report.unit))
+        mode_svgs=report_curves.draw_modes(curves, [m.name for m in report.muscles], report.modes, shown(report.unit))
         if report.modes
         else [],
         footfall_svg=report_curves.draw_footfalls(report.footfalls) if report.footfalls else "",
@@ -85,7 +85,7 @@ def _shown(report: Report, curves: Curves) -> list[dict[str, Any]]:
     """The panels: name, site, verdicts and drawing of each muscle, or of each muscle of several limbs."""
     from devices.outlets.report import curves as report_curves
 
-    muscles, unit = report.muscles, pretty(report.unit)
+    muscles, unit = report.muscles, shown(report.unit)
     if report.panels:
         svgs = report_curves.draw_limbs(curves, report.panels, unit)
         return [
@@ -130,11 +130,6 @@ def quality_sentence(muscles: list[Muscle]) -> str:
 
 def _because(muscle: Muscle) -> str:
     return f" ({muscle.remark})" if muscle.remark else ""
-
-
-def pretty(unit: str) -> str:
-    """A unit as it is printed: the micro sign for a leading u."""
-    return f"µ{unit[1:]}" if unit.startswith(("uV", "us", "um")) else unit
 
 
 def limits(report: Report) -> list[str]:

@@ -28,16 +28,20 @@ def compare(
             metavar="NODE", help="a node or a limb (left): whose cycles, where a session has those of several legs"
         ),
     ] = "",
+    relevant: Annotated[
+        float, typer.Option(min=0.0, max=100.0, help="show no difference below this part (%) of the larger peak")
+    ] = 5.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
 ) -> None:
     """Compare EMG sessions: before and after, left and right, or a group.
 
     The report shows the scatter of cycles, the divergence of mixtures, which sessions resemble each other, and where mean curves differ.
 
-    A recording with cycles of two legs counts as two sessions, each job of a batch as one. Sessions whose curves were normalised or
-    filtered otherwise are refused.
+    Each leg is compared with the same leg, each stage with the same stage; the legs of a single recording with each other. A job of a
+    batch counts as a recording. Sessions whose curves were normalised or filtered otherwise are refused.
     """
     from operators.emg.commands.comparison import compare_sessions
+    from operators.emg.commands.comparison_groups import by_stage, groups_of
     from operators.emg.commands.comparison_page import stretches, write_page, write_tables
     from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, read_sessions
     from operators.emg.mixtures import PeakMixtures
@@ -48,7 +52,10 @@ def compare(
     for path in (page, table):
         if path.exists() and not overwrite:
             raise KinegraphError(f"{path} exists; --overwrite replaces it, --out names another folder")
-    read = [found for path in sessions_at(sessions) for found in read_sessions(path, node)]
+    recordings = [
+        [part for leg in read_sessions(path, node) for part in by_stage(leg)] for path in sessions_at(sessions)
+    ]
+    read = [session for recording in recordings for session in recording]
     if len(read) < 2:
         raise KinegraphError("one session alone has nothing to be compared with; name two, or one with two legs")
     check_alike(read)
@@ -57,13 +64,14 @@ def compare(
         raise KinegraphError(
             "the sessions have no muscle in common: " + "; ".join(f"{s.label}: {', '.join(s.muscles)}" for s in read)
         )
-    found = compare_sessions(read, PeakMixtures(cycles=MOST_CYCLES))
+    groups, notes = groups_of(recordings)
+    found = compare_sessions(read, PeakMixtures(cycles=MOST_CYCLES), groups, relevant)
     private_folder(output)
     write_page(found, page, " and ".join(found.labels) if len(read) < 4 else f"{len(read)} sessions")
     write_tables(found, table)
-    for speed in found.speeds:
-        say(speed)
+    for note in (*notes, *found.speeds):
+        say(note)
     for band in found.bands:
         where = f"at {stretches(band.places)} % of the cycle" if band.places else "nowhere"
-        say(f"{band.muscle}: divergence {found.distances[band.muscle][0, 1]:.3f}, means differ {where}")
+        say(f"{band.name}: divergence {found.distances[band.muscle][band.pair]:.3f}, means differ {where}")
     say(f"{page}: {', '.join(f'{label} ({n} cycles)' for label, n in zip(found.labels, found.cycles, strict=True))}")

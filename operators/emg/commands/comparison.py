@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.emg.commands.session_cycles import SessionCycles, other_speeds
+from operators.emg.commands.comparison_groups import Group, speed_notes
+from operators.emg.commands.session_cycles import SessionCycles
 from operators.emg.mixture_reference import References
 from operators.emg.mixtures import PeakMixtures
 from stream.chunk import Samples
 
 HIGHEST = 5
 RESAMPLINGS = 2000
+RELEVANT_PCT = 5.0
+"""Differences of mean curves below this part of the larger peak are not shown, unless the user asks for it."""
+EVERYONE = Group("", (0, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +38,24 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Where two sessions' mean curves of a muscle differ: the difference (100,), its simultaneous 95 % band, and the places in %."""
+    """Where two sessions' mean curves of a muscle differ: the difference (100,), its simultaneous 95 % band, the smallest difference that
+    is relevant, and the places in % where the difference exceeds both. `group`: the sessions, of which the first two are compared."""
 
     muscle: str
     difference: Samples
     width: Samples
+    relevant: float
     places: list[int]
+    group: Group = EVERYONE
+
+    @property
+    def name(self) -> str:
+        """The muscle, and the leg and stage."""
+        return f"{self.muscle} {self.group.name}".strip()
+
+    @property
+    def pair(self) -> tuple[int, int]:
+        return self.group.members[0], self.group.members[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +63,8 @@ class Comparison:
     """labels of the sessions, and the muscles that all have; intra, inter: scatter about the own and about the group's mean curve;
     distances {muscle: (n, n)}: Cauchy-Schwarz divergences; features (n, 11 m): of the 5 highest modes and their number;
     linkage (n - 1, 4): scipy's, single; means, sds {muscle: (n, 100)}: of each session's cycles, sds with n - 1;
-    bands: of the first two sessions; speeds: which sessions walked faster or slower than the first"""
+    bands: of the first two sessions of each group; speeds: which sessions walked faster or slower than those they are compared with, or
+    at several speeds;  relevant_pct: what a difference must exceed, in % of the larger peak"""
 
     labels: list[str]
     cycles: list[int]
@@ -63,11 +80,19 @@ class Comparison:
     sds: dict[str, Samples]
     bands: list[Band]
     speeds: list[str]
+    relevant_pct: float = RELEVANT_PCT
 
 
-def compare_sessions(sessions: list[SessionCycles], mixer: PeakMixtures) -> Comparison:
-    """At least two sessions that were made alike, by the muscles that all of them have."""
+def compare_sessions(
+    sessions: list[SessionCycles],
+    mixer: PeakMixtures,
+    groups: list[Group] | None = None,
+    relevant_pct: float = RELEVANT_PCT,
+) -> Comparison:
+    """At least two sessions that were made alike, by the muscles that all of them have; without `groups`, all with each other."""
     from scipy.cluster.hierarchy import linkage
+
+    groups = groups or [Group("", tuple(range(len(sessions))))]
 
     muscles = [name for name in sessions[0].muscles if all(name in s.muscles for s in sessions)]
     made = [s.references(mixer, 0, 2)[0] for s in sessions]
@@ -76,7 +101,11 @@ def compare_sessions(sessions: list[SessionCycles], mixer: PeakMixtures) -> Comp
     features = np.array([_features(found, at) for found, at in zip(made, where, strict=True)])
     curves = [s.curves[:, :, at] for s, at in zip(sessions, where, strict=True)]
     intra, inter = _scatters([s.label for s in sessions], muscles, curves)
-    bands = [_band(name, curves[0][:, :, k], curves[1][:, :, k]) for k, name in enumerate(muscles)]
+    bands = [
+        replace(_band(name, *(curves[place][:, :, k] for place in group.members[:2]), relevant_pct), group=group)
+        for group in groups
+        for k, name in enumerate(muscles)
+    ]
     known = {name: [_known(c[:, :, k]) for c in curves] for k, name in enumerate(muscles)}
     return Comparison(
         [s.label for s in sessions], [len(s.curves) for s in sessions], muscles, dict(sessions[0].alike), intra, inter, tables,
@@ -84,7 +113,7 @@ def compare_sessions(sessions: list[SessionCycles], mixer: PeakMixtures) -> Comp
         features, linkage(standardised(features), "single"),
         {name: np.array([c.mean(axis=0) if len(c) else np.full(100, np.nan) for c in cs]) for name, cs in known.items()},
         {name: np.array([c.std(axis=0, ddof=1) if len(c) > 1 else np.full(100, np.nan) for c in cs]) for name, cs in known.items()},
-        bands, other_speeds(sessions),
+        bands, speed_notes(sessions, groups), relevant_pct,
     )  # fmt: skip
 
 
@@ -150,11 +179,11 @@ def _features(made: References, at: list[int]) -> Samples:
     return np.concatenate(rows)
 
 
-def _band(muscle: str, before: Samples, after: Samples) -> Band:
+def _band(muscle: str, before: Samples, after: Samples, relevant_pct: float) -> Band:
     """Difference of mean curves (after less before), with a band that holds all 100 points at once in 95 % of resamplings (bootstrap)."""
     before, after = _known(before), _known(after)
     if min(len(before), len(after)) < 2:
-        return Band(muscle, np.full(100, np.nan), np.full(100, np.nan), [])
+        return Band(muscle, np.full(100, np.nan), np.full(100, np.nan), np.nan, [])
     rng = np.random.default_rng(1)
     difference = after.mean(axis=0) - before.mean(axis=0)
     drawn = np.empty((RESAMPLINGS, 100))
@@ -164,4 +193,6 @@ def _band(muscle: str, before: Samples, after: Samples) -> Band:
     spread = np.maximum(drawn.std(axis=0), 1e-12)
     most = np.quantile(np.abs((drawn - difference) / spread).max(axis=1), 0.95)
     width = most * spread
-    return Band(muscle, difference, width, np.flatnonzero(np.abs(difference) > width).tolist())
+    relevant = relevant_pct / 100 * float(max(np.abs(before.mean(axis=0)).max(), np.abs(after.mean(axis=0)).max()))
+    differs = np.abs(difference) > np.maximum(width, relevant)
+    return Band(muscle, difference, width, relevant, np.flatnonzero(differs).tolist())

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from operators.emg.commands.comparison import Band, Comparison
+from stream.units import shown
 
 COLOURS = ("#12395b", "#b25b00", "#2f7d4f", "#a3211b", "#7a3b8f", "#55534e", "#0b7d8f", "#8f6b0b")
 WITH_BANDS = 4
@@ -35,22 +36,23 @@ def draw_curves(found: Comparison) -> list[str]:
 def _drawn(found: Comparison, band: Band) -> str:
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    _means(above, found, band.muscle)
+    _means(above, found, band)
     _difference(below, found, band)
     held = io.StringIO()
     figure.savefig(held, format="svg", metadata={"Date": None})
     return held.getvalue()[held.getvalue().index("<svg") :]
 
 
-def _means(axes: Axes, found: Comparison, muscle: str) -> None:
-    for k, label in enumerate(found.labels):
-        mean, sd, colour = found.means[muscle][k], found.sds[muscle][k], COLOURS[k % len(COLOURS)]
-        axes.plot(PLACE, mean, color=colour, linewidth=1.0, label=label)
-        if len(found.labels) <= WITH_BANDS:
+def _means(axes: Axes, found: Comparison, band: Band) -> None:
+    muscle, group = band.muscle, band.group.members
+    for k, place in enumerate(group):
+        mean, sd, colour = found.means[muscle][place], found.sds[muscle][place], COLOURS[k % len(COLOURS)]
+        axes.plot(PLACE, mean, color=colour, linewidth=1.0, label=found.labels[place])
+        if len(group) <= WITH_BANDS:
             axes.fill_between(PLACE, mean - sd, mean + sd, color=colour, alpha=0.18, linewidth=0)
-    axes.set_title(muscle, loc="left", fontsize=8)
+    axes.set_title(band.name, loc="left", fontsize=8)
     axes.set_ylim(bottom=0)
-    axes.set_ylabel(str(found.alike["height_unit"] or ""))
+    axes.set_ylabel(shown(str(found.alike["height_unit"] or "")))
     axes.legend(frameon=False, fontsize=6)
 
 
@@ -59,10 +61,11 @@ def _difference(axes: Axes, found: Comparison, band: Band) -> None:
     axes.plot(PLACE, band.difference, color="#222222", linewidth=1.0)
     low, high = band.difference - band.width, band.difference + band.width
     axes.fill_between(PLACE, low, high, color="#222222", alpha=0.15, linewidth=0)
+    for edge in (-band.relevant, band.relevant):
+        axes.axhline(edge, color="#b25b00", linewidth=0.6, linestyle=":")
     for p in band.places:
         axes.axvspan(p - 0.5, p + 0.5, color="#f0c9a0", alpha=0.6, linewidth=0, zorder=0)
     axes.set_xlim(0, 99)
     axes.set_xlabel("% of the cycle")
-    axes.set_ylabel(
-        f"{found.labels[1]} less\n{found.labels[0]}" if max(map(len, found.labels[:2])) < 14 else "difference"
-    )
+    first, second = (found.labels[place] for place in band.pair)
+    axes.set_ylabel(f"{second} less\n{first}" if max(len(first), len(second)) < 14 else "difference")

@@ -12,6 +12,7 @@ import numpy as np
 from operators.emg.commands.comparison import Comparison, Scatter, standardised
 from operators.emg.commands.comparison_curves import WITH_BANDS, draw_curves
 from stream.complete import complete
+from stream.units import shown
 
 PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title><style>
 body{font:15px/1.4 sans-serif;max-width:60em;margin:2em auto}table{border-collapse:collapse;margin:1em 0}
@@ -19,7 +20,7 @@ td,th{padding:.15em .7em;text-align:right}td:first-child,th:first-child{text-ali
 .curves{display:flex;flex-wrap:wrap}.curves figure{margin:0}</style></head><body>
 <h1>{{ title }}</h1>
 <p>{% for s in sessions %}{{ s[0] }}: {{ s[1] }} cycles. {% endfor %}Normalisation: {{ alike.normalisation }};
-heights in {{ alike.height_unit or "no unit" }}. Sessions that were normalised or filtered otherwise are refused.
+heights in {{ unit or "no unit" }}. Sessions that were normalised or filtered otherwise are refused.
 {% for s in speeds %} <b>{{ s }}.</b>{% endfor %}</p>
 <h2>Mean curves</h2><p>{{ curves_note }}</p>
 <div class="curves">{% for curve in curves %}<figure>{{ curve | safe }}</figure>{% endfor %}</div>
@@ -37,7 +38,8 @@ def write_page(found: Comparison, path: Path, title: str) -> None:
     from jinja2 import Environment
 
     text = Environment(autoescape=True).from_string(PAGE).render(
-        title=title, sessions=list(zip(found.labels, found.cycles, strict=True)), alike=found.alike, tables=_tables(found),
+        title=title, sessions=list(zip(found.labels, found.cycles, strict=True)), alike=found.alike,
+        unit=shown(str(found.alike["height_unit"] or "")), tables=_tables(found),
         dendrogram=_dendrogram(found), speeds=found.speeds, curves=draw_curves(found), curves_note=_curves_note(found),
     )  # fmt: skip
     with complete(path) as draft:
@@ -61,7 +63,8 @@ def write_tables(found: Comparison, path: Path) -> None:
             for what, curve in (("mean", found.means[muscle][i]), ("sd", found.sds[muscle][i])):
                 rows += [(f"{what} at {p} %", muscle, mine, "", found.cycles[i], v) for p, v in enumerate(curve)]
     for band in found.bands:
-        of = band.muscle, *found.labels[:2], ""
+        of = band.muscle, *(found.labels[place] for place in band.pair), ""
+        rows.append(("smallest relevant difference", *of, band.relevant))
         for p, (difference, width) in enumerate(zip(band.difference, band.width, strict=True)):
             rows.append((f"difference at {p} %", *of, difference))
             rows += [
@@ -74,14 +77,12 @@ def write_tables(found: Comparison, path: Path) -> None:
 
 
 def _curves_note(found: Comparison) -> str:
-    bands = (
-        "mean of each session, with its standard deviation"
-        if len(found.labels) <= WITH_BANDS
-        else "mean of each session"
-    )
+    few = max(len(band.group.members) for band in found.bands) <= WITH_BANDS
+    bands = "mean of each session, with its standard deviation" if few else "mean of each session"
     return (
-        f"Above: {bands}. Below: {found.labels[1]} less {found.labels[0]}, with a band that holds the whole difference in 95 % of "
-        "resamplings of cycles (bootstrap); shaded: where it excludes 0."
+        f"Above: {bands}. Below: the second less the first, with a band that holds the whole difference in 95 % of resamplings of cycles "
+        f"(bootstrap); dotted: the smallest relevant difference, {found.relevant_pct:g} % of the larger peak (--relevant); shaded: where "
+        "the difference exceeds both."
     )
 
 
@@ -99,19 +100,24 @@ def _tables(found: Comparison) -> list[dict[str, object]]:
         made.append(
             {"title": f"{muscle}: how far apart", "note": note, "head": ["", "modes", *found.labels], "rows": rows}
         )
-    about = f"{found.labels[1]} less {found.labels[0]}: where a simultaneous 95 % bootstrap band of the mean curves' difference excludes 0."
-    places = [
-        [band.muscle, stretches(band.places), _told(float(np.abs(band.difference).max()))] for band in found.bands
-    ]
-    made.append(
-        {
-            "title": "Where the first two differ",
-            "note": about,
-            "head": ["muscle", "% of the cycle", "largest"],
-            "rows": places,
-        }
-    )
+    made.append(_differences(found))
     return made
+
+
+def _differences(found: Comparison) -> dict[str, object]:
+    unit = shown(str(found.alike["height_unit"] or ""))
+    rows = []
+    for band in found.bands:
+        first, second = (found.labels[place] for place in band.pair)
+        largest = float(np.abs(band.difference[band.places]).max()) if band.places else float("nan")
+        cells = f"{largest:.3g} {unit}".strip() if band.places else "–", f"{band.relevant:.3g} {unit}".strip()
+        rows.append([band.name, f"{second} less {first}", stretches(band.places), *cells])
+    note = (
+        "Where the mean curves' difference exceeds both its simultaneous 95 % bootstrap band and the smallest relevant difference,"
+        f" {found.relevant_pct:g} % of the larger peak (--relevant)."
+    )
+    head = ["muscle", "compared", "% of the cycle", "largest there", "relevant from"]
+    return {"title": "Where mean curves differ", "note": note, "head": head, "rows": rows}
 
 
 def _scatter_table(part: list[Scatter], title: str) -> dict[str, object]:

@@ -32,6 +32,7 @@ class SessionCycles:
     alike      what sessions must have in common to be compared
     durations_s (k,)   how long each cycle took
     limb       whose they are, where the session has several;  channels: as recorded (L_TA); `muscles` are what they stand for (TA)
+    stages (k,)   in which stage each cycle was, "" in none;  stage: that of all of them, "" where they are of several
     """
 
     label: str
@@ -42,8 +43,10 @@ class SessionCycles:
     maxima: Array
     alike: dict[str, Any]
     durations_s: Samples
+    stages: Array
     limb: str = ""
     channels: tuple[str, ...] = ()
+    stage: str = ""
 
     @property
     def muscles(self) -> tuple[str, ...]:
@@ -116,9 +119,21 @@ def _read(recording: StoredSession, path: Path, node: str, limb: str, several: b
     took = {int(row["number"]): float(row["duration_s"]) for row in closed}
     seconds = np.array([took[int(number)] for number in accepted[used]])
     whole = SessionCycles(
-        label, str(about.get("subject", "")), spec, accepted[used], curves[used], maxima, alike, seconds
-    )
+        label, str(about.get("subject", "")), spec, accepted[used], curves[used], maxima, alike, seconds,
+        _stages(recording, accepted[used]),
+    )  # fmt: skip
     return _of_limb(whole, limb, closed) if limb else whole
+
+
+def _stages(recording: StoredSession, numbers: Array) -> Array:
+    """The stage of each cycle (k,), from the recorded events that name it; "" where none does."""
+    stage = {
+        int(row["number"]): str(row["stage"])
+        for name, stream in recording.streams.items()
+        if is_closed(stream.spec.dtype) and "stage" in (stream.spec.dtype.names or ())
+        for row in recording.read(name)[1]
+    }
+    return np.array([stage.get(int(number), "") for number in numbers], "<U32")
 
 
 def _of_limb(both: SessionCycles, limb: str, closed: Array) -> SessionCycles:
@@ -138,6 +153,7 @@ def _of_limb(both: SessionCycles, limb: str, closed: Array) -> SessionCycles:
         numbers=both.numbers[here],
         curves=both.curves[here][:, :, places],
         durations_s=both.durations_s[here],
+        stages=both.stages[here],
         maxima=maxima,
         limb=limb,
         channels=mine,
@@ -146,12 +162,10 @@ def _of_limb(both: SessionCycles, limb: str, closed: Array) -> SessionCycles:
 
 def _leave_out(judged: Array, numbers: Array, curves: Samples, spec: StreamSpec) -> None:
     """What the review left out is NaN in its cycle; of two verdicts the later counts."""
-    for row in judged:
-        if str(row["name"]) not in spec.channels:
-            continue
-        here = np.flatnonzero(numbers == row["number"])
-        if len(here) and not row["used"]:
-            curves[here[0], :, spec.channels.index(str(row["name"]))] = np.nan
+    final = {(int(row["number"]), str(row["name"])): bool(row["used"]) for row in judged}
+    for (number, name), used in final.items():
+        if not used and name in spec.channels:
+            curves[numbers == number, :, spec.channels.index(name)] = np.nan
 
 
 def check_alike(sessions: list[SessionCycles]) -> None:
@@ -183,12 +197,13 @@ def joined(sessions: list[SessionCycles]) -> SessionCycles:
         numbers.append(session.numbers + since)
         since = max(int(part.max()) for part in (numbers[-1], peaks["number"], np.array([since])) if len(part)) + 1
     label = " + ".join(session.label for session in sessions)
-    curves, seconds = (
-        np.concatenate([getattr(s, part) for s in sessions])[-MOST_CYCLES:] for part in ("curves", "durations_s")
+    curves, seconds, stages = (
+        np.concatenate([getattr(s, part) for s in sessions])[-MOST_CYCLES:]
+        for part in ("curves", "durations_s", "stages")
     )
     every = np.concatenate(numbers)[-MOST_CYCLES:]
     peaks = np.concatenate(maxima)
-    return replace(first, label=label, numbers=every, curves=curves, maxima=peaks, durations_s=seconds)
+    return replace(first, label=label, numbers=every, curves=curves, maxima=peaks, durations_s=seconds, stages=stages)
 
 
 def other_speeds(sessions: list[SessionCycles]) -> list[str]:
