@@ -134,6 +134,7 @@ class ReferenceFit:
                 heights = self.refit.points[: self.refit.count, 1]
                 chance = np.random.Generator(np.random.Philox(key=[which, NOISE]))
                 heights[:] = chance.normal(heights.mean(), heights.std(), len(heights))
+            self.refit.active = -np.inf
             self.refit.restart(how)
         if self.task >= FIRST_HALF:
             pair, other = divmod(self.task - FIRST_HALF, 2)

@@ -61,8 +61,12 @@ class PeakMixtures(Operator[MixturesState]):
     than `merge_nats` (symmetric Kullback-Leibler divergence, thesis 6.4.1) are one. A mode's spread is never less than `least_pct` along
     the cycle and `least_height` of the mean curve's peak in height: their squares are added to its variances.
 
+    Only activity counts: a peak that reaches `rest_sd` standard deviations above rest (the quietest tenth of the mean curve), and `of_peak`
+    of the way from rest to the mean curve's peak, as a burst of `operators.gait.bursts.CycleBursts` does. With both 0 every peak counts, as
+    in the thesis.
+
     Not known: below `fewest_cycles` ("too few cycles"), where the mean curve's peak is less than `contrast` times its median ("no burst": a
-    muscle that is silent, or always active), or below three peaks. A second event in `closed` of one of the latest 64 cycles takes it out,
+    muscle that is silent, or always active), below three peaks, or where fewer than three are activity ("rest"). A second event in `closed` of one of the latest 64 cycles takes it out,
     or puts it back, from the next refit on. `joint` makes one mixture of several channels, named after them ("GM+GL").
     Of several limbs (`operators.gait.limb_cycles.LimbCycles`), each one's muscles are fitted after its own cycles.
 
@@ -88,11 +92,13 @@ class PeakMixtures(Operator[MixturesState]):
     least_pct: float = param(1.0, above=0.0, help="the least spread of a mode along the cycle, in %")
     least_height: float = param(0.05, above=0.0, help="and in height, as a share of the mean curve's peak")
     contrast: float = param(1.5, least=1.0, help="a mean curve with a lower peak over its median has no burst")
+    rest_sd: float = param(3.0, least=0.0, help="a peak is activity from so many standard deviations above rest on")
+    of_peak: float = param(0.15, least=0.0, below=1.0, help="and from this part of the mean curve's rise above rest on")
 
     def fitting(self) -> Fitting:
         return Fitting(
             self.width, self.passes, self.least_depth, self.circular, self.tolerance, self.most_sweeps,
-            self.merge_nats, self.least_pct, self.least_height, self.contrast, self.fewest_cycles,
+            self.merge_nats, self.least_pct, self.least_height, self.contrast, self.fewest_cycles, self.rest_sd, self.of_peak,
         )  # fmt: skip
 
     def open(self, specs: Specs) -> Specs:

@@ -40,6 +40,46 @@ def gather(
     return found, counted
 
 
+@kernel
+def least_activity(curves: Samples, slots: Times, group: Times, mean: Samples, rest_sd: float, of_peak: float) -> float:
+    """The height from which a peak is activity, not rest: as `operators.gait.bursts.CycleBursts` begins a burst.
+
+    Rest is the quietest tenth of the mean curve (one stretch), and the same stretch of each cycle. Activity is `rest_sd` of its standard
+    deviations above it, and `of_peak` of the way from it to the mean curve's peak. With both 0 every peak is.
+    """
+    n = mean.shape[0]
+    quiet = n // 10
+    first, level = 0, np.inf
+    for i in range(n):
+        total = 0.0
+        for k in range(quiet):
+            total += mean[(i + k) % n]
+        if total / quiet < level:
+            first, level = i, total / quiet
+    squares, count = 0.0, 0
+    for slot in slots:
+        for muscle in group:
+            if np.isnan(curves[slot, 0, muscle]):
+                continue
+            for k in range(quiet):
+                squares += (curves[slot, (first + k) % n, muscle] - level) ** 2
+                count += 1
+    if rest_sd == 0.0 and of_peak == 0.0:
+        return -np.inf
+    return level + max(rest_sd * np.sqrt(squares / max(count, 1)), of_peak * (mean.max() - level))
+
+
+@kernel
+def keep_active(points: Samples, count: int, least: float) -> int:
+    """Move the points (count, 2) that are at least as high to the front; returns how many they are."""
+    kept = 0
+    for i in range(count):
+        if points[i, 1] >= least:
+            points[kept, 0], points[kept, 1] = points[i, 0], points[i, 1]
+            kept += 1
+    return kept
+
+
 @dataclass(slots=True)
 class PeakWindow:
     """A ring of cycles, each at its number modulo the ring's length. Of l limbs, number n is a cycle of limb (n - 1) modulo l.

@@ -9,21 +9,23 @@ import numpy as np
 from operators.emg.mixture_distance import merge_close_modes
 from operators.emg.mixture_events import MOST_MODES
 from operators.emg.mixture_kernel import CYCLE, begin_mixture, cluster_places, fit
-from operators.emg.peak_window import MOST_PEAKS, PeakWindow, gather
+from operators.emg.peak_window import MOST_PEAKS, PeakWindow, gather, keep_active, least_activity
 from operators.emg.peaks_kernel import find_peaks
 from operators.gait.cycle import POINTS
 from stream.chunk import Samples, Times
 from stream.kernel import kernel
 
-UNKNOWN = ("", "too few cycles", "no burst", "too few peaks")
-FEW_CYCLES, NO_BURST, FEW_PEAKS = 1, 2, 3
+UNKNOWN = ("", "too few cycles", "no burst", "too few peaks", "rest")
+FEW_CYCLES, NO_BURST, FEW_PEAKS, REST = 1, 2, 3, 4
+FEWEST_PEAKS = 3
 SWEEPS, OF_PEAKS = 24, 250
 """Sweeps of one call: 24 for the 250 peaks of twenty cycles, which takes under a millisecond; of more points, as many fewer."""
 
 
 @dataclass(slots=True)
 class Fitting:
-    """How a mixture is fitted. `least` of a mode: its spread along the cycle in %, and its height as a share of the mean curve's peak."""
+    """How a mixture is fitted. `least` of a mode: its spread along the cycle in %, and its height as a share of the mean curve's peak.
+    Peaks below `rest_sd` and `of_peak` are rest (`least_activity`)."""
 
     width: int
     passes: int
@@ -36,6 +38,8 @@ class Fitting:
     least_height: float
     contrast: float
     fewest_cycles: int
+    rest_sd: float
+    of_peak: float
 
     @property
     def turns(self) -> int:
@@ -51,12 +55,18 @@ def contrast_of(mean: Samples) -> float:
 
 @kernel
 def start(
-    points: Samples, mean: Samples, width: int, passes: int, depth: float, circular: bool, least: Samples,
+    points: Samples, mean: Samples, active: float, width: int, passes: int, depth: float, circular: bool, least: Samples,
     weights: Samples, means: Samples, covariances: Samples,
 ) -> int:  # fmt: skip
-    """The first mixture, by the peaks of the mean curve and k-means along the cycle; returns its number of modes."""
+    """The first mixture, by the peaks of the mean curve that are `active` (so high), and k-means along the cycle; returns its number of
+    modes."""
     places = np.empty(weights.shape[0])
-    found = find_peaks(mean, width, passes, depth, circular, places, np.empty((2, mean.shape[0])))
+    every = find_peaks(mean, width, passes, depth, circular, places, np.empty((2, mean.shape[0])))
+    found = 0
+    for i in range(every):
+        if mean[int(places[i])] >= active:
+            places[found] = places[i]
+            found += 1
     if found == 0:
         places[0], found = float(np.argmax(mean)), 1
     chosen = np.empty(points.shape[0])
@@ -97,6 +107,8 @@ class Refit:
     before: float
     settled: bool
     unknown: int
+    active: float
+    resting: int
 
     @staticmethod
     def none(cycles: int, muscles: int, extra: int = 0) -> Refit:
@@ -105,12 +117,12 @@ class Refit:
         k = MOST_MODES
         return Refit(
             np.zeros((room, 2)), np.zeros(POINTS), np.zeros(2), np.zeros(k), np.zeros((k, 2)), np.zeros((k, 3)),
-            np.zeros((k, 13)), 0, 0, 0, 0, -np.inf, True, 0,
+            np.zeros((k, 13)), 0, 0, 0, 0, -np.inf, True, 0, -np.inf, 0,
         )  # fmt: skip
 
     def begin(self, window: PeakWindow, slots: Times, group: Times, how: Fitting) -> None:
         """Start with the peaks of a group of muscles in the cycles at `slots`."""
-        self.count, self.cycles = gather(window.curves, window.peaks, window.tops, slots, group, self.points, self.mean)
+        self._gather(window, slots, group, how)
         self.restart(how)
 
     def restart(self, how: Fitting) -> None:
@@ -121,13 +133,13 @@ class Refit:
             self.unknown = FEW_CYCLES
         elif not top > 0.0 or contrast_of(self.mean) < how.contrast:
             self.unknown = NO_BURST
-        elif self.count < 3:
-            self.unknown = FEW_PEAKS
+        elif self.count < FEWEST_PEAKS:
+            self.unknown = REST if self.count + self.resting >= FEWEST_PEAKS else FEW_PEAKS
         else:
             self.unknown = 0
             self.least[:] = how.least_pct**2, (how.least_height * top) ** 2
             self.modes = start(
-                self.points[: self.count], self.mean, how.width, how.passes, how.least_depth, how.circular, self.least,
+                self.points[: self.count], self.mean, self.active, how.width, how.passes, how.least_depth, how.circular, self.least,
                 self.weights, self.means, self.covariances,
             )  # fmt: skip
         self.settled = bool(self.unknown)
@@ -139,15 +151,22 @@ class Refit:
 
         A fit from scratch finds now one mode more, now one less, and so jumps without cause.
         """
-        self.count, self.cycles = gather(window.curves, window.peaks, window.tops, slots, group, self.points, self.mean)
+        self._gather(window, slots, group, how)
         self.modes, self.sweeps, self.before, self.settled = len(start[0]), 0, -np.inf, False
-        self.unknown = FEW_CYCLES if self.cycles < 2 else FEW_PEAKS if self.count < 3 else 0
+        self.unknown = FEW_CYCLES if self.cycles < 2 else FEW_PEAKS if self.count < FEWEST_PEAKS else 0
         if self.unknown:
             self.modes, self.settled = 0, True
             return
         for mine, theirs in zip((self.weights, self.means, self.covariances), start, strict=True):
             mine[: self.modes] = theirs
         self.least[:] = how.least_pct**2, (how.least_height * float(self.mean.max())) ** 2
+
+    def _gather(self, window: PeakWindow, slots: Times, group: Times, how: Fitting) -> None:
+        """Take the peaks of these cycles that are activity, and their mean curve."""
+        every, self.cycles = gather(window.curves, window.peaks, window.tops, slots, group, self.points, self.mean)
+        self.active = least_activity(window.curves, slots, group, self.mean, how.rest_sd, how.of_peak)
+        self.count = keep_active(self.points, every, self.active)
+        self.resting = every - self.count
 
     def follow(
         self, window: PeakWindow, slots: Times, group: Times, how: Fitting, start: tuple[Samples, Samples, Samples]

@@ -18,6 +18,7 @@ from stream.conformance.cut import whole
 from stream.conformance.play import Player
 from tests.gait.test_emg_mixture import as_scikit_learn
 from tests.support.emg_run import drive, enveloped, treadmill
+from tests.support.steep_walk import cut, steep_walk
 
 CENTRES = (10.0, 40.0, 99.0)
 
@@ -192,3 +193,18 @@ def test_a_maximum_without_a_place_or_a_height_is_as_if_it_were_not_there(field:
     assert len(given[0].outputs["modes"]) > 20
     for name, output in given[0].outputs.items():
         assert output.data.tobytes() == given[1].outputs[name].data.tobytes()
+
+
+def test_maxima_of_baseline_noise_are_no_activity() -> None:
+    """A soleus with one burst at 18 to 52 % of the cycle has no mode elsewhere, however many maxima its rest has."""
+    made = cut(steep_walk(30, noise_uv=2.0))
+    given = {port: made[port] for port in ("maxima", "closed", "cycles")}
+    rows = drive(PeakMixtures(), given, 100)["modes"][2]
+    for name in ("L_SO", "R_SO"):
+        last = rows[(rows["name"] == name) & (rows["number"] == rows["number"][rows["name"] == name][-1])]
+        assert len(last) and (last["place_pct"] > 15).all() and (last["place_pct"] < 55).all(), last[
+            ["place_pct", "height"]
+        ]
+    every = drive(PeakMixtures(rest_sd=0.0, of_peak=0.0), given, 100)["modes"][2]
+    silent = every[(every["name"] == "L_SO") & ((every["place_pct"] < 15) | (every["place_pct"] > 55))]
+    assert len(silent), "without the threshold silence has modes"
