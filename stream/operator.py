@@ -45,6 +45,7 @@ class Operator(Generic[S]):
                for all inputs at once
     acts       ports whose samples are answered from what the others have said: of equal stamps they come after all others, in this order.
                No answer depends on the order in which `inputs` names the ports (the law "ties")
+    revises    ports whose events change what was reported before, and delay nothing: `check` leaves their own delay out
     takes      what its ports ask for, where numbers come: "rows" are C-contiguous float64 (n, width), whatever the dtype and shape of a
                sample was; "finite" are rows in which NaN stands for what is not a finite number; "any" is the stream as it is
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
@@ -61,6 +62,7 @@ class Operator(Generic[S]):
     outputs: ClassVar[tuple[str, ...]] = ("out",)
     in_turn: ClassVar[bool] = True
     acts: ClassVar[tuple[str, ...]] = ()
+    revises: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[Takes] = "any"
     is_outlet: ClassVar[bool] = False
     contiguous: ClassVar[bool] = False

@@ -66,8 +66,9 @@ class PeakMixtures(Operator[MixturesState]):
     in the thesis.
 
     Not known: below `fewest_cycles` ("too few cycles"), where the mean curve's peak is less than `contrast` times its median ("no burst": a
-    muscle that is silent, or always active), below three peaks, or where fewer than three are activity ("rest"). A second event in `closed` of one of the latest 64 cycles takes it out,
-    or puts it back, from the next refit on. `joint` makes one mixture of several channels, named after them ("GM+GL").
+    muscle that is silent, or always active), below three peaks, or where fewer than three are activity ("rest"). A second event in
+    `closed` of one of the latest 64 cycles takes it out, or puts it back, from the next refit on. `joint` makes one mixture of several
+    channels, named after them ("GM+GL").
     Of several limbs (`operators.gait.limb_cycles.LimbCycles`), each one's muscles are fitted after its own cycles.
 
     Stamps: the cycle's, or that of the sample of `pace` at which the mixture was done. A cycle that comes while another's mixtures are

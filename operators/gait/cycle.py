@@ -15,7 +15,7 @@ from stream.finite import only_finite
 
 POINTS = 100
 REASONS = (
-    "too short", "too long", "gap", "settling", "incomplete", "order", "stance", "irregular", "missing", "quality", "by hand",
+    "too short", "too long", "gap", "settling", "incomplete", "order", "stance", "irregular", "missing", "quality", "by hand", "contacts",
 )  # fmt: skip
 """Why a cycle is rejected, in the order in which it is asked; see `Cycles`."""
 

@@ -28,7 +28,8 @@ ADVICE = (
 class CycleWatchState:
     """
     began, newest   the signal's first and newest stamp;  heard: the stamp of the latest cycle
-    durations (11,) of the latest cycles in ns, while their pace is not in question, a ring; `measured` in all;  latest (3,): of all
+    durations (11,) of the latest cycles in ns, while their pace is not in question, a ring; `measured` in all
+    latest, onsets (3,)   the duration and begin of the latest of all cycles
     covered         how much of the session lies in accepted cycles, ns;  on (4,): which alarms there are
     spans (11,)     of the latest cycles in ns, in turn, a ring; `walked` in all
     """
@@ -39,6 +40,7 @@ class CycleWatchState:
     durations: Times
     measured: int
     latest: Times
+    onsets: Times
     seen: int
     covered: int
     on: Times
@@ -85,6 +87,7 @@ class CycleWatch(Operator[CycleWatchState]):
                 NEVER,
                 np.zeros(RECENT, np.int64),
                 0,
+                np.zeros(LATEST, np.int64),
                 np.zeros(LATEST, np.int64),
                 0,
                 0,
@@ -155,7 +158,7 @@ class CycleWatch(Operator[CycleWatchState]):
         s.heard = max(s.heard, stamp)
         s.covered += 0 if reason else duration
         if reason not in ("too long", "too short", "gap"):
-            s.latest[s.seen % LATEST] = duration
+            s.latest[s.seen % LATEST], s.onsets[s.seen % LATEST] = duration, row["onset"]
             s.seen += 1
             self._pace(found, stamp, duration)
             self._evenness(found, stamp, duration)
@@ -168,14 +171,21 @@ class CycleWatch(Operator[CycleWatchState]):
         if s.measured >= LATEST and times >= self.off_pace and not s.on[SLOW]:
             s.on[SLOW] = 1
             text = f"cadence went from {60 * NS / usual:.0f} to {60 * NS / now:.0f} strides/min"
-            found.append((stamp, self._alarm(stamp, ON, text, SLOW)))
+            found.append((stamp, self._alarm(self._since(now, usual), ON, text, SLOW)))
         elif s.on[SLOW] and times < 1 + (self.off_pace - 1) / 2:
             s.on[SLOW] = 0
-            found.append((stamp, self._alarm(stamp, OVER, "cadence", SLOW)))
+            found.append((stamp, self._alarm(self._since(now, now), OVER, "cadence", SLOW)))
         near = usual == 0 or max(duration / usual, usual / duration) < self.off_pace
         if near and not s.on[SLOW]:
             s.durations[s.measured % RECENT] = duration
             s.measured += 1
+
+    def _since(self, now: float, other: float) -> int:
+        """When the first of the latest cycles began that lasts nearer to `now` than to the `other` duration, or near to `now` itself."""
+        s = self.state
+        off = np.abs(np.log(s.latest / now))
+        near = off < abs(np.log(now / other)) / 2 if now != other else off < np.log(self.off_pace) / 2
+        return int(s.onsets[near].min())
 
     def _evenness(self, found: FoundAlarms, stamp: int, duration: int) -> None:
         """Of neighbours: a belt that changes its speed makes one of them differ, a contact that is found late makes three."""

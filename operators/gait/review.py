@@ -8,7 +8,9 @@ from typing import ClassVar, Literal, TypeAlias
 import numpy as np
 import structlog
 
+from operators.alarm import ALARM
 from operators.emg.quality import QUALITY
+from operators.gait.contact_spans import ContactSpans
 from operators.gait.cycle import POINTS, Expected, check_cycles, some_cycles
 from operators.gait.history import REVISABLE
 from operators.gait.limbs import Belonging
@@ -33,6 +35,7 @@ JUDGED = np.dtype(
 )
 """A muscle in a cycle: the worst flag of its signal in the cycle's seconds, why, and whether it counts (1) or is left out (0)."""
 LEAVE, USE = "leave out ", "use "
+CONTACTS = "contacts"
 
 Told: TypeAlias = list[tuple[int, Array, Samples | None, Array]]
 """Stamp, event (1,), curve (None: rejected) and judgements of each cycle to be reported."""
@@ -45,7 +48,8 @@ class ReviewState:
     """
     rows (64,), curves (64, 100, m)   the latest accepted cycles as they came, a ring; `seen` in all;  used (64, m) what was told of them
     person                what a person said of these cycles
-    pending, since        the stamp of judged windows that have not been applied (NEVER: none), and when the first of them begins
+    spans                 from when to when contacts were wrong;  trust: what a person said of all of them, UNSAID, OUT or IN
+    pending, since        the stamp of windows and alarms that have not been applied (NEVER: none), and when the first of them begins
     """
 
     expected: Expected
@@ -55,6 +59,8 @@ class ReviewState:
     used: Times
     person: PersonVerdicts
     seen: int
+    spans: ContactSpans
+    trust: int
     pending: int
     since: int
     limbs: Belonging
@@ -66,23 +72,31 @@ class CycleReview(Operator[ReviewState]):
     """Cycles and their events in, the same out, without the muscles that are not to be trusted.
 
     closed, cycles   as they came, but a muscle that is left out is NaN throughout its cycle, and so in no mean, spread or statistic; a
-                     cycle that a person left out is rejected "by hand", one with no muscle left "quality"
+                     cycle that a person left out is rejected "by hand", one whose contacts are wrong "contacts", one with no muscle left
+                     "quality"
     judged           one event per muscle of every accepted cycle (`JUDGED`): the worst quality of its own seconds, and whether it counts
 
     A muscle is left out where its signal was bad (`leave_out`) in a window that overlaps the cycle. A window that ends after the cycle was
     told changes it afterwards: `closed` and `cycles` then hold it a second time, which replaces the first, for the latest 64 cycles.
 
+    A whole cycle is left out where an alarm of `contacts` (`operators.gait.cycle_watch.CycleWatch`: steps missed, or found twice) or
+    `timing` (`operators.gait.timing_watch.TimingWatch`: shifted, or the other leg's) says that its contacts are wrong, from the onset of
+    the alarm to that of its end, with the cycles at both edges. Those reported before the alarm came are taken back. `trust_contacts`
+    leaves them in.
+
     A person has the last word, by an annotation: "leave out 17", "leave out 17 TA", "leave out TA" (in every cycle), "leave out last", or
-    "use ..." for the contrary. As annotations are recorded, a replay knows. `left_out` and `kept` say the same from the start on. A
-    cycle that `Cycles` rejected cannot be used: it has no curve.
+    "use ..." for the contrary; "use contacts" takes back in all cycles with wrong contacts. As annotations are recorded, a replay knows.
+    `left_out` and `kept` say the same from the start on. A cycle that `Cycles` rejected cannot be used: it has no curve.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("quality", "annotations", "closed", "cycles")
+    inputs: ClassVar[tuple[str, ...]] = ("quality", "annotations", "contacts", "timing", "closed", "cycles")
     acts: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    optional: ClassVar[tuple[str, ...]] = ("quality", "annotations")
+    revises: ClassVar[tuple[str, ...]] = ("quality", "annotations", "contacts", "timing")
+    optional: ClassVar[tuple[str, ...]] = ("quality", "annotations", "contacts", "timing")
     outputs: ClassVar[tuple[str, ...]] = ("closed", "cycles", "judged")
 
     leave_out: Literal["bad", "doubtful", "none"] = param("bad", help="the quality at which a muscle is left out")
+    trust_contacts: bool = param(False, help="count cycles although an alarm says that their contacts are wrong")
     left_out: tuple[str, ...] = param((), help='cycles and muscles to be left out: "17", "17 TA", "TA"')
     kept: tuple[str, ...] = param((), help="those to be used whatever their quality, named alike")
 
@@ -92,6 +106,9 @@ class CycleReview(Operator[ReviewState]):
             raise InputError("quality", specs["quality"].describe(), "what operators.emg.quality.SignalQuality gives")
         if "annotations" in specs and "text" not in (specs["annotations"].dtype.names or ()):
             raise InputError("annotations", specs["annotations"].describe(), "events with a field 'text'")
+        for port in ("contacts", "timing"):
+            if port in specs and specs[port].dtype != ALARM:
+                raise InputError(port, specs[port].describe(), "alarms about contacts")
         n, names = spec.shape[1], list(spec.channels)
         for parameter in ("left_out", "kept"):
             for text in getattr(self, parameter):
@@ -100,7 +117,8 @@ class CycleReview(Operator[ReviewState]):
         state = ReviewState(
             Expected.none(specs["closed"].dtype), Windows.none(n),
             np.zeros(REVISABLE, specs["closed"].dtype), np.zeros((REVISABLE, POINTS, n)),
-            np.ones((REVISABLE, n), np.int64), PersonVerdicts.none(REVISABLE, n), 0, NEVER, FOREVER,
+            np.ones((REVISABLE, n), np.int64), PersonVerdicts.none(REVISABLE, n), 0, ContactSpans.none(),
+            IN if self.trust_contacts else UNSAID, NEVER, FOREVER,
             Belonging.of(spec), names,
         )  # fmt: skip
         self.hold(state, decision_s={"closed": 0.0, "judged": 0.0})
@@ -124,6 +142,8 @@ class CycleReview(Operator[ReviewState]):
                 if name in s.names:
                     s.windows.add(chunk.data[i], s.names.index(name))
                     s.pending, s.since = stamp, min(s.since, int(chunk.data["onset"][i]))
+            elif port in ("contacts", "timing"):
+                self._alarm(stamp, chunk.data[i])
             elif port == "annotations":
                 self._said(out, stamp, str(chunk.data["text"][i]).strip())
             elif port == "closed":
@@ -152,8 +172,13 @@ class CycleReview(Operator[ReviewState]):
             "quality": (StreamSpec((), QUALITY, units=("",)), stamps, rows),
             "annotations": (StreamSpec((), text, units=("",)), when, said),
         }
+        alarms = np.zeros(2, ALARM)
+        alarms["subject"], alarms["what"] = "contacts", "muscles work half a cycle off"
+        alarms["state"], alarms["onset"] = ["on", "over"], cycles["closed"][2]["onset"][[9, 13]]
+        wrong = {"timing": (StreamSpec((), ALARM, units=("",)), cycles["closed"][1][[11, 15]], alarms)}
         return [
             Case(cls(), {**more, **cycles}, least=60),
+            Case(cls(), {**more, **wrong, **cycles}, least=60),
             Case(cls(leave_out="none", left_out=("4", "TA")), cycles, least=40),
         ]
 
@@ -173,20 +198,37 @@ class CycleReview(Operator[ReviewState]):
         s.rows[k], s.curves[k] = closed[0], only_finite(curve)
         self._tell(out, stamp, k)
 
+    def _alarm(self, stamp: int, row: np.void) -> None:
+        """An alarm about contacts has come, or is over."""
+        s, subject = self.state, str(row["subject"])
+        if subject in s.names or (s.limbs.names and subject not in s.limbs.names):
+            return
+        since = s.spans.note(row, s.limbs.names.index(subject) if s.limbs.names else 0)
+        if since is not None:
+            s.pending, s.since = stamp, min(s.since, since - 1)
+
+    def _again(self, out: Told, stamp: int, cycles: list[int]) -> None:
+        """Report those of these cycles again of which other muscles count now."""
+        for k in cycles:
+            if not np.array_equal(self._used(k)[0], self.state.used[k]):
+                self._tell(out, stamp, k)
+
     def _apply(self, out: Told, until: int) -> None:
-        """Judge the cycles again that windows which have come are about, once these are all there; tell those that change."""
+        """Judge the cycles again that windows and alarms which have come are about, once these are all there; tell those that change."""
         s = self.state
         if s.pending == NEVER or s.pending > until:
             return
         stamp, since, s.pending, s.since = s.pending, s.since, NEVER, FOREVER
-        for k in self._latest():
-            if s.rows["end"][k] > since and not np.array_equal(self._used(k)[0], s.used[k]):
-                self._tell(out, stamp, k)
+        self._again(out, stamp, [k for k in self._latest() if s.rows["end"][k] > since])
 
     def _said(self, out: Told, stamp: int, text: str) -> None:
         """A person's word: of one cycle, of a muscle in it, or of a muscle in all of them."""
         s = self.state
         verdict = OUT if text.startswith(LEAVE) else IN if text.startswith(USE) else UNSAID
+        if verdict and text in (LEAVE + CONTACTS, USE + CONTACTS):
+            s.trust = verdict
+            self._again(out, stamp, self._latest())
+            return
         latest = max((int(s.rows["number"][k]) for k in self._latest()), default=0)
         meant = understood(text.removeprefix(LEAVE).removeprefix(USE), s.names, latest) if verdict else None
         if meant is None:
@@ -203,8 +245,7 @@ class CycleReview(Operator[ReviewState]):
             )
         for k in here:
             s.person.say(k, muscle, verdict)
-            if not np.array_equal(self._used(k)[0], s.used[k]):
-                self._tell(out, stamp, k)
+        self._again(out, stamp, here)
 
     def _latest(self) -> list[int]:
         """Where the latest cycles stand, the oldest first."""
@@ -218,8 +259,15 @@ class CycleReview(Operator[ReviewState]):
         flag, reason = s.windows.of(int(s.rows["onset"][k]), int(s.rows["end"][k]))
         worst = {"bad": 2, "doubtful": 1, "none": 3}[self.leave_out]
         said = s.person.of(k)
-        used = np.where(said == UNSAID, flag < worst, said == IN) & s.limbs.mine(s.rows[k])
+        good = (flag < worst) & (not self._wrong(k))
+        used = np.where(said == UNSAID, good, said == IN) & s.limbs.mine(s.rows[k])
         return used.astype(np.int64), flag, reason
+
+    def _wrong(self, k: int) -> bool:
+        """Whether a cycle's contacts are wrong."""
+        s, row = self.state, self.state.rows[k]
+        limb = s.limbs.names.index(str(row["limb"])) if s.limbs.names else 0
+        return s.trust != IN and s.spans.hold(limb, int(row["onset"]), int(row["end"]))
 
     def _tell(self, out: Told, stamp: int, k: int) -> None:
         s = self.state
@@ -234,7 +282,8 @@ class CycleReview(Operator[ReviewState]):
         mine = s.limbs.mine(row[0])
         judged = judged[mine]
         if not used.any():
-            row["rejected"] = "by hand" if (s.person.said[k][mine] == OUT).all() else "quality"
+            by_hand, wrong = (s.person.said[k][mine] == OUT).all(), self._wrong(k)
+            row["rejected"] = "by hand" if by_hand else "contacts" if wrong else "quality"
             out.append((stamp, row, None, judged))
         else:
             out.append((stamp, row, np.where(used.astype(bool), s.curves[k], np.nan), judged))

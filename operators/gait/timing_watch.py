@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
+from operators.gait.contact_spans import LatestCycles, changed_at
 from operators.gait.cycle import POINTS, Expected, check_named_cycles, longest_cycle_s, some_cycles
 from operators.gait.limbs import Belonging
 from operators.gait.stage_change import StageUnderWay
@@ -40,6 +41,9 @@ class TimingWatchState:
     recent (k, 100, m), seen (m,) the latest cycles, rings
     limb (l, 2, 2), muscle (m, 2) of each limb's alarms and each muscle's: 1 (a muscle: another's place + 1) while it is on; cycles in a
                                  row that say otherwise
+    past                         of each limb's latest cycles: by how much half a cycle later fits better, and the lag;  newest (l,): number
+    decided (l, 2)               the begin of the cycle with which each alarm about contacts began or ended
+    lag (l,)                     how much later than at first the cycles of the alarm about it were
     stage                        of each limb;  known: the textbook's muscle of each channel;  patterns (100, m): its pattern
     """
 
@@ -53,6 +57,10 @@ class TimingWatchState:
     seen: Times
     limb: Times
     muscle: Times
+    past: LatestCycles
+    newest: Times
+    decided: Times
+    lag: Samples
     stage: StageUnderWay
     limbs: Belonging
     names: list[str]
@@ -75,7 +83,8 @@ class TimingWatch(Operator[TimingWatchState]):
     Both latter use the mean of the latest `latest` cycles, from the third on, so they hold from the start; there are none with more than
     two limbs, nor for a channel whose name states the other side than the contacts' (RTA in the left leg's cycles), or no muscle that the
     textbook has (then `muscles` says which it is; the report names those that are not watched so). Each alarm comes when
-    `cycles` cycles in a row agree, and once more when it is over. Patterns and their source: `operators.gait.textbook`.
+    `cycles` cycles in a row agree, and once more when it is over; the onset of one about contacts is that of the cycle with which the
+    change began, as its latest cycles show. A cycle half a cycle off has no lag. Patterns and their source: `operators.gait.textbook`.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
@@ -108,8 +117,9 @@ class TimingWatch(Operator[TimingWatchState]):
             TimingWatchState(
                 Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((ways, self.latest)),
                 np.zeros(ways, np.int64), np.zeros((ways, 3)), np.zeros((self.latest, POINTS, m)), np.zeros(m, np.int64),
-                np.zeros((ways, 2, 2), np.int64), np.zeros((m, 2), np.int64), StageUnderWay.none(ways), limbs, list(spec.channels),
-                known, np.stack([textbook_pattern(name) for name in known], axis=1),
+                np.zeros((ways, 2, 2), np.int64), np.zeros((m, 2), np.int64), LatestCycles.none(ways, 2), np.full(ways, -1),
+                np.zeros((ways, 2), np.int64), np.zeros(ways), StageUnderWay.none(ways), limbs, list(spec.channels), known,
+                np.stack([textbook_pattern(name) for name in known], axis=1),
             ),
             decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
@@ -156,14 +166,23 @@ class TimingWatch(Operator[TimingWatchState]):
         belongs = s.limbs.mine(closed)
         if s.stage.begins(limb, closed):
             self._begin_again(found, when, limb, belongs)
-        if not s.stage.holds(limb, int(closed["number"])):
+        if not s.stage.holds(limb, int(closed["number"])) or closed["number"] <= s.newest[limb]:
             return
+        s.newest[limb] = closed["number"]
         mine = np.flatnonzero(belongs & ~np.isnan(curve).any(axis=0))
-        self._lag(found, when, limb, mine, curve)
+        half = self._half(mine, curve)
+        s.past.add(limb, when[1], (half, 0.0))
         for i in mine.tolist():
             s.recent[s.seen[i] % self.latest, :, i] = curve[:, i]
             s.seen[i] += 1
         self._textbook(found, when, limb, mine)
+        if half < self.clearly and not s.limb[limb, HALF, 0]:
+            self._lag(found, when, limb, mine, curve)
+
+    def _half(self, mine: Array, curve: Samples) -> float:
+        """By how much one cycle's muscles fit the textbook better half a cycle later; 0 where fewer than two are known."""
+        known = [i for i in mine.tolist() if self.state.known[i]]
+        return half_later(curve[:, known], self.state.patterns[:, known]) if len(known) > 1 else 0.0
 
     def _begin_again(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array) -> None:
         """Another stage has begun: at another speed muscles work at another time."""
@@ -171,7 +190,7 @@ class TimingWatch(Operator[TimingWatchState]):
         if s.limb[limb, SHIFT, 0]:
             found.append((when[0], (when[1], self._who(limb), OVER, OVERS[SHIFT], "")))
         s.first[:, mine], s.taken[mine] = 0.0, 0
-        s.measured[limb], s.scatter[limb], s.limb[limb, SHIFT] = 0, 0.0, 0
+        s.measured[limb], s.scatter[limb], s.limb[limb, SHIFT], s.past.measures[limb, :, 1] = 0, 0.0, 0, 0.0
 
     def _lag(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array, curve: Samples) -> None:
         """Take a cycle into what was at first, or measure how much later it is."""
@@ -185,7 +204,7 @@ class TimingWatch(Operator[TimingWatchState]):
         lag = float(np.median(lags_pct(curve[:, ready], s.first[:, ready])))
         if s.measured[limb]:
             s.scatter[limb, :2] += (lag - s.scatter[limb, 2]) ** 2, 1
-        s.scatter[limb, 2] = lag
+        s.scatter[limb, 2] = s.past.measures[limb, (s.past.seen[limb] - 1) % s.past.onsets.shape[1], 1] = lag
         s.lags[limb, s.measured[limb] % self.latest] = lag
         s.measured[limb] += 1
         if s.measured[limb] < self.latest or s.scatter[limb, 1] < LEAST_PAIRS:
@@ -194,8 +213,20 @@ class TimingWatch(Operator[TimingWatchState]):
         error = np.sqrt(s.scatter[limb, 0] / s.scatter[limb, 1] / 2 * (1 / self.latest + 1 / self.first))
         least = self.off_pct / 2 if s.limb[limb, SHIFT, 0] else self.off_pct
         other = int(abs(mean) >= max(least, self.sds * error))
+        towards = np.sign(mean if other else s.lag[limb])
+        size = abs(mean) if other else abs(float(s.lag[limb]))
         told = f"contacts {abs(mean):.1f} % of the cycle {'earlier' if mean > 0 else 'later'} than at first"
-        self._tell(found, when, s.limb[limb, SHIFT], other, (self._who(limb), told, OVERS[SHIFT], SHIFTED))
+        s.lag[limb] = mean if other else s.lag[limb]
+        scores = towards * s.past.latest(limb)[1][:, 1] - size / 2
+        self._contacts(
+            found,
+            when,
+            limb,
+            SHIFT,
+            other,
+            scores if other else -scores,
+            (self._who(limb), told, OVERS[SHIFT], SHIFTED),
+        )
 
     def _textbook(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array) -> None:
         """Hold the mean of a limb's latest cycles against the textbook."""
@@ -204,19 +235,38 @@ class TimingWatch(Operator[TimingWatchState]):
         if len(known) < 2:
             return
         curves = np.stack([s.recent[: min(self.latest, s.seen[i]), :, i].mean(axis=0) for i in known], axis=1)
-        like, later = (
-            likeness(curves, s.patterns[:, known]),
-            likeness(curves, np.roll(s.patterns[:, known], POINTS // 2, axis=0)),
-        )
+        like = likeness(curves, s.patterns[:, known])
         own = like.diagonal()
-        half = float(later.diagonal().mean() - own.mean()) >= self.clearly
-        self._tell(found, when, s.limb[limb, HALF], int(half), (self._who(limb), OVERS[HALF], OVERS[HALF], OTHER_LEG))
+        half = int(half_later(curves, s.patterns[:, known]) >= self.clearly)
+        scores = s.past.latest(limb)[1][:, 0]
+        self._contacts(
+            found,
+            when,
+            limb,
+            HALF,
+            half,
+            scores if half else -scores,
+            (self._who(limb), OVERS[HALF], OVERS[HALF], OTHER_LEG),
+        )
         for k, i in enumerate(known):
             best = int(like[k].argmax())
             other = not s.limb[limb, HALF, 0] and not half and like[k, best] >= max(ALIKE, own[k] + self.clearly + 0.2)
             name = s.known[known[best]] if other else ""
             told = f"its curve is rather that of {name}", "its curve is another muscle's", OTHER_MUSCLE
             self._tell(found, when, s.muscle[i], int(known[best]) + 1 if other else 0, (s.names[i], *told))
+
+    def _contacts(
+        self, found: FoundAlarms, when: tuple[int, int], limb: int, kind: int, now: int, scores: Samples,
+        said: tuple[str, str, str, str],
+    ) -> None:  # fmt: skip
+        """An alarm about a limb's contacts, or its end. `scores` of its latest cycles: positive ones agree with what is so now. The change
+        began after the cycle with which the one before it was reported."""
+        s, onsets = self.state, self.state.past.latest(limb)[0]
+        before, later = int(s.limb[limb, kind, 0]), onsets > s.decided[limb, kind]
+        began = int(onsets[later][changed_at(scores[later])])
+        self._tell(found, (when[0], began), s.limb[limb, kind], now, said)
+        if s.limb[limb, kind, 0] != before:
+            s.decided[limb, kind] = when[1]
 
     def _tell(
         self, found: FoundAlarms, when: tuple[int, int], alarm: Times, now: int, said: tuple[str, str, str, str]
@@ -230,6 +280,12 @@ class TimingWatch(Operator[TimingWatchState]):
 
     def _who(self, limb: int) -> str:
         return self.state.limbs.names[limb] if self.state.limbs.names else self.subject
+
+
+def half_later(curves: Samples, patterns: Samples) -> float:
+    """By how much curves (100, m) fit their patterns (100, m) better half a cycle later: the mean difference of the correlations."""
+    later = np.roll(patterns, POINTS // 2, axis=0)
+    return float((likeness(curves, later).diagonal() - likeness(curves, patterns).diagonal()).mean())
 
 
 def lags_pct(curves: Samples, patterns: Samples) -> Samples:

@@ -10,6 +10,7 @@ from stream.ceiling import ceiling
 from stream.chunk import StreamSpec
 from stream.errors import GraphError, blaming
 from stream.graph import Edge, Graph, Node, is_live, policy_of
+from stream.operator import Operator
 from stream.source import Source
 from stream.time_text import delay
 
@@ -155,7 +156,8 @@ def _decisions(graph: Graph, steps: dict[str, Step]) -> Iterator[Decision]:
     for node in graph.nodes.values():
         waited = max((late[edge.node] for edge in node.inputs.values()), default=0.0)
         late[node.name] = waited + steps[node.name].delay_s
-        came = [found[edge] for edge in node.inputs.values() if edge in found]
+        revises = node.part.revises if isinstance(node.part, Operator) else ()
+        came = [found[edge] for port, edge in node.inputs.items() if edge in found and port not in revises]
         after_s = max((before.after_s for before in came), default=0.0)
         total_s = max([waited, *(before.total_s for before in came)])
         for output, own_s in node.declared.decision_s.items():
