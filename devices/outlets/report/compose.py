@@ -29,6 +29,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
     session: Mapping[str, Any] = graph.session if graph else {}
     centre, spread = tally.gait.centre(), tally.gait.spread()
     normalisation = words.normalisation(cycles.meta)
+    steps = max(2, len(cycles.meta.get("limbs") or ()))
     report = Report(
         title="",
         unit=cycles.units[0] if len(cycles.units) == 1 else "",
@@ -44,6 +45,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         alarmed=tally.alarmed,
         gait=[
             ReportValue("cadence", float(centre[0]), "strides/min", float(spread[0])),
+            ReportValue("cadence", steps * float(centre[0]), "steps/min", steps * float(spread[0])),
             ReportValue("cycle", float(centre[1]), "s", float(spread[1]), 3),
             ReportValue("stance", float(centre[2]), "%", float(spread[2])),
         ],

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from devices.outlets.report import words
+from devices.outlets.report import each_burst, words
 from devices.outlets.report.data import Grid, LimbPanel, Report
 from devices.outlets.report.groups import Groups
 from devices.outlets.report.running import Running
@@ -25,6 +25,10 @@ BURSTS = (
     "When a muscle is active, by a double threshold with hysteresis (Hodges and Bui 1996; thresholds under Settings). Onset, offset and"
     " duration of the burst that holds the cycle's peak: circular mean ± deviation; an offset below the onset lies in the next cycle. Bars:"
     " in which share of the cycles the muscle was active, from none (white) to all (dark)."
+)
+FREQUENCY = (
+    "Median of each cycle's power spectrum of the raw EMG, mean ± standard deviation over the cycles, and the straight line through them."
+    " It falls as a muscle tires; walking, it also follows the speed and the electrode."
 )
 NORMS = (
     "For how much of the cycle the mean curve lies outside the laboratory's own bands ({0}; drawn green behind the curves), and where it is"
@@ -66,6 +70,12 @@ def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
         report.grids.append(_symmetry(groups, [str(name) for name in specs["symmetry"].meta.get("pair", ("", ""))]))
     if groups.burst_names:
         report.grids.append(_bursts(groups, spec.channels))
+    if tally.each_burst.seen:
+        report.grids.append(
+            each_burst.grid(tally.each_burst, spec.channels, spec.units[0] if len(spec.units) == 1 else "")
+        )
+    if tally.frequencies.seen:
+        report.grids.append(_frequencies(tally, spec.channels))
     if tally.peaks.names:
         unit = spec.units[0] if len(spec.units) == 1 else ""
         grid = tally.peaks.grid(unit)
@@ -74,6 +84,8 @@ def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
         report.modes = [tally.peaks.of(name).tolist() for name in spec.channels]
     if "low" in specs and "high" in specs:
         report.grids.append(_norms(tally, specs))
+    if tally.typed.count:
+        report.grids.append(tally.typed.grid(max(tally.started, 0)))
     if groups.stages:
         report.stages = list(groups.stages)
         report.grids += _stages(tally, specs)
@@ -88,13 +100,34 @@ def _text(running: Running, i: int, decimals: int) -> str:
     centre, spread = float(running.centre()[i]), float(running.spread()[i])
     if not np.isfinite(centre):
         return "–"
-    return f"{centre:.{decimals}f}" + (f" ± {spread:.{decimals}f}" if np.isfinite(spread) else "")
+    return f"{centre:z.{decimals}f}" + (f" ± {spread:z.{decimals}f}" if np.isfinite(spread) else "")
+
+
+def _steps(gait: Running, per_stride: int) -> str:
+    """The cadence in steps/min: so many steps are a stride."""
+    steps = per_stride * float(gait.centre()[0])
+    return f"{steps:.1f}" if np.isfinite(steps) else "–"
 
 
 def _limbs(groups: Groups) -> Grid:
-    columns = [("Limb", ""), ("Cycles", ""), ("Cadence", "strides/min"), ("Cycle", "s"), ("Stance", "%")]
+    columns = [
+        ("Limb", ""),
+        ("Cycles", ""),
+        ("Cadence", "strides/min"),
+        ("Cadence", "steps/min"),
+        ("Cycle", "s"),
+        ("Stance", "%"),
+    ]
+    per_stride = max(2, len(groups.limbs))
     rows = [
-        [limb, str(int(gait.n.max(initial=0))), *(_text(gait, i, d) for i, d in ((0, 1), (1, 3), (2, 1)))]
+        [
+            limb,
+            str(int(gait.n.max(initial=0))),
+            _text(gait, 0, 1),
+            _steps(gait, per_stride),
+            _text(gait, 1, 3),
+            _text(gait, 2, 1),
+        ]
         for limb, gait in zip(groups.limbs, groups.limb_gait, strict=True)
     ]
     return Grid("Limb by limb", "Mean ± standard deviation over the limb's accepted cycles.", columns, rows)
@@ -129,13 +162,25 @@ def _bursts(groups: Groups, channels: Sequence[str]) -> Grid:
     found = zip(groups.burst_names, groups.bursts, strict=True)
     for name, (cycles, each, *ends) in sorted(found, key=lambda each: place_of(each[0], channels)):
         cells = [
-            f"{value:.0f}" + (f" ± {sd:.0f}" if np.isfinite(sd) else "") if np.isfinite(value) else "–"
+            f"{value:z.0f}" + (f" ± {sd:z.0f}" if np.isfinite(sd) else "") if np.isfinite(value) else "–"
             for value, sd in zip(ends[::2], ends[1::2], strict=True)
         ]
         rows.append([name, str(int(cycles)), f"{each:.1f}" if np.isfinite(each) else "–", *cells])
     columns = [("Muscle", ""), ("Cycles", ""), ("Bursts", "per cycle")]
     columns += [("Onset", "% of cycle"), ("Offset", "% of cycle"), ("Duration", "% of cycle")]
     return Grid("Bursts", BURSTS, columns, rows)
+
+
+def _frequencies(tally: Tally, channels: Sequence[str]) -> Grid:
+    """The median frequencies, and how they change."""
+    rows = []
+    for i, name in enumerate(channels):
+        hz = tally.frequencies.of(i)[:, 2]
+        if len(hz) > 1:
+            slope = f"{tally.slopes[i]:+z.1f}" if np.isfinite(tally.slopes[i]) else "–"
+            rows.append([name, str(len(hz)), f"{hz.mean():.1f} ± {hz.std(ddof=1):.1f}", slope])
+    columns = [("Muscle", ""), ("Cycles", ""), ("Median frequency", "Hz"), ("Slope", "% per min")]
+    return Grid("Median frequency", FREQUENCY, columns, rows)
 
 
 def _norms(tally: Tally, specs: Specs) -> Grid:
@@ -166,10 +211,19 @@ def _norms(tally: Tally, specs: Specs) -> Grid:
 def _stages(tally: Tally, specs: Specs) -> list[Grid]:
     groups, spec = tally.groups, specs["cycles"]
     columns = [
-        ("Stage", ""), ("Cycles", ""), ("Belt speed", "m/s"), ("Cadence", "strides/min"), ("Cycle", "s"), ("Stance", "%"),
+        ("Stage", ""), ("Cycles", ""), ("Belt speed", "m/s"), ("Cadence", "strides/min"), ("Cadence", "steps/min"),
+        ("Cycle", "s"), ("Stance", "%"),
     ]  # fmt: skip
     rows = [
-        [stage, str(int(gait.n[0])), *(_text(gait, i, d) for i, d in ((3, 2), (0, 1), (1, 3), (2, 1)))]
+        [
+            stage,
+            str(int(gait.n[0])),
+            _text(gait, 3, 2),
+            _text(gait, 0, 1),
+            _steps(gait, max(2, len(groups.limbs))),
+            _text(gait, 1, 3),
+            _text(gait, 2, 1),
+        ]
         for stage, gait in zip(groups.stages, groups.stage_gait, strict=True)
     ]
     made = [Grid("Stage by stage", "Cycles that lie wholly in a stage; mean ± standard deviation.", columns, rows)]
@@ -193,4 +247,4 @@ def _muscle(by_stage: Running, field: int, muscle: int, decimals: int) -> str:
     centre, spread = float(by_stage.centre()[field, muscle]), float(by_stage.spread()[field, muscle])
     if not np.isfinite(centre):
         return "–"
-    return f"{centre:.{decimals}f}" + (f" ± {spread:.{decimals}f}" if np.isfinite(spread) else "")
+    return f"{centre:z.{decimals}f}" + (f" ± {spread:z.{decimals}f}" if np.isfinite(spread) else "")

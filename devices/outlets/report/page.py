@@ -173,8 +173,8 @@ def limits(report: Report) -> list[str]:
 def _figures(report: Report) -> list[dict[str, str]]:
     figures = [{"text": str(report.accepted), "spread": "", "label": f"cycles ({report.rejected} rejected)"}]
     for value in report.gait:
-        spread = f"{value.spread:.{value.decimals}f}" if np.isfinite(value.spread) else ""
-        text = f"{value.value:.{value.decimals}f}" if np.isfinite(value.value) else "–"
+        spread = f"{value.spread:z.{value.decimals}f}" if np.isfinite(value.spread) else ""
+        text = f"{value.value:z.{value.decimals}f}" if np.isfinite(value.value) else "–"
         figures.append(
             {"text": text, "spread": spread, "label": f"{value.label} ({value.unit})" if value.unit else value.label}
         )
@@ -198,8 +198,8 @@ def _lost(stream: Stream) -> str:
 def _number(value: ReportValue) -> str:
     if not np.isfinite(value.value):
         return "–"
-    spread = f" ± {value.spread:.{value.decimals}f}" if np.isfinite(value.spread) else ""
-    return f"{value.value:.{value.decimals}f}{spread}{f' {value.unit}' if value.unit else ''}"
+    spread = f" ± {value.spread:z.{value.decimals}f}" if np.isfinite(value.spread) else ""
+    return f"{value.value:z.{value.decimals}f}{spread}{f' {value.unit}' if value.unit else ''}"
 
 
 def _cell(value: tuple[float, float], decimals: int) -> Any:
@@ -209,7 +209,7 @@ def _cell(value: tuple[float, float], decimals: int) -> Any:
     if not np.isfinite(number):
         return "–"
     return Markup(
-        f"{number:.{decimals}f}" + (f" <small>± {spread:.{decimals}f}</small>" if np.isfinite(spread) else "")
+        f"{number:z.{decimals}f}" + (f" <small>± {spread:z.{decimals}f}</small>" if np.isfinite(spread) else "")
     )
 
 

@@ -8,7 +8,7 @@ from stream.graph import Graph
 
 ELSEWHERE = Path("reports")
 """The folder of reports on what is not recorded."""
-SUFFIXES = (".html", ".csv", "-curves.csv", ".xlsx", ".mat")
+SUFFIXES = (".html", ".csv", "-curves.csv", "-remarks.csv", ".xlsx", ".mat")
 
 
 def page_of(given: str, graph: Graph | None, node: str) -> Path:

@@ -10,7 +10,7 @@ from stream.errors import InputError
 PORTS = (
     "emg", "closed", "cycles", "statistics", "muscles", "pairs", "quality", "electrodes", "contacts", "changes",
     "channels", "patterns", "timing", "markers", "symmetry", "footfalls", "gait", "bursts", "active", "modes", "distance", "low",
-    "high",
+    "high", "annotations", "each_burst", "frequency",
 )  # fmt: skip
 NEEDED = ("closed", "cycles")
 FIELDS = {
@@ -24,6 +24,9 @@ FIELDS = {
     "gait": ("gait", "double_support_pct", "flight_pct", "feet"),
     "modes": ("name", "number", *MODE),
     "distance": ("name", *MOVED),
+    "each_burst": ("number", "muscle", "on_pct", "duration_pct", "peak"),
+    "frequency": ("number", "name", "median_hz", "slope_pct_per_min"),
+    "annotations": ("onset", "text"),
     "quality": ("name", "flag", "reason", "session_flag", "session_reason"),
     **dict.fromkeys(ALARM_PORTS, ("onset", "subject", "state", "what")),
 }

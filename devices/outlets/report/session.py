@@ -84,12 +84,15 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     modes            of `operators.emg.mixtures.PeakMixtures`: the modes of each muscle's activation peaks, as ellipses and a table
     distance         of `operators.emg.mixture_drift.MixtureDrift`: how far a muscle has moved, and how far it is from the other leg's
     low, high        of `operators.gait.norms.NormativeBands`: the laboratory's own bands, drawn behind the curves, and a table
+    each_burst       of `operators.gait.bursts.CycleBursts` (`bursts`): a table of every burst
+    frequency        of `operators.emg.median_frequency.MedianFrequency`
+    annotations      what a person types: a table of remarks, with time and cycle
     emg              the raw signal: when the session began, its gaps and losses
 
     Where cycles name their limb, the limbs' curves of a muscle stand in one panel, and cadence, cycle and stance are given per limb. Where
     they name their stage (`operators.gait.stages.Stages`), curves and numbers are given per stage, too, and NAME-curves.csv holds the mean
-    curves of each stage (of the session, where there are none) with their standard deviations. `tables: [xlsx, mat]` writes both tables
-    once more, as NAME.xlsx and NAME.mat.
+    curves of each stage (of the session, where there are none) with their standard deviations; NAME-remarks.csv what was typed. `tables:
+    [xlsx, mat]` writes all tables once more, as NAME.xlsx and NAME.mat.
 
     The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. A cycle that is
     told again (it was taken back, or counts after all) has two rows while the session runs, of which the last counts, and one at its end.
@@ -173,6 +176,9 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
                     settle(_table(state))
                 write_curves(Path(f"{state.stem}-curves.csv"), state.tally, runtime.specs, runtime.about.recording)
                 written = {"cycles": _table(state), "curves": Path(f"{state.stem}-curves.csv")}
+                if state.tally.typed.count:
+                    written["remarks"] = Path(f"{state.stem}-remarks.csv")
+                    state.tally.typed.write(written["remarks"], state.tally.started, runtime.about.recording)
                 for kind in dict.fromkeys(self.tables):
                     write_tables(Path(f"{state.stem}.{kind}"), written)
             if runtime.claim:

@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from devices.outlets.report import each_burst
+from devices.outlets.report.cycle_store import CycleStore
 from devices.outlets.report.groups import Groups
 from devices.outlets.report.peaks import Peaks
+from devices.outlets.report.remarks import Remarks
 from devices.outlets.report.revisions import ACCEPTED, Revisable
 from devices.outlets.report.running import Choice, Running
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
@@ -47,6 +50,8 @@ class Tally:
     alarms           (200,) the first alarms; alarmed: how many in all
     heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
     groups           the same by limb and by stage;  peaks: mixtures of activation peaks
+    typed            what a person said during the session
+    each_burst       every burst of the latest cycles;  frequencies: each cycle's median frequency;  slopes (m,): the latest, %/min
     norms            (2, 100, m) normative bands, low and high; NaN where there are none
     """
 
@@ -75,6 +80,10 @@ class Tally:
     heard: Times
     groups: Groups
     peaks: Peaks
+    typed: Remarks
+    each_burst: CycleStore
+    frequencies: CycleStore
+    slopes: Samples
     norms: Samples
 
     @property
@@ -120,6 +129,10 @@ def nothing_yet(specs: Specs) -> Tally:
         heard=np.zeros((len(specs), 3), np.int64),
         groups=Groups.none(specs),
         peaks=Peaks(),
+        typed=Remarks.none(),
+        each_burst=CycleStore.none(len(each_burst.VALUES)),
+        frequencies=CycleStore.none(1),
+        slopes=np.full(shape[1], np.nan),
         norms=np.full((2, *shape), np.nan),
     )
 
@@ -128,6 +141,10 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
     """Take a chunk from an input."""
     n = len(chunk)
     if not n:
+        return
+    if port == "annotations":
+        for row in chunk.data:
+            tally.typed.add(int(row["onset"]), str(row["text"]))
         return
     if tally.started == UNSEEN:
         tally.started = int(chunk.time[0])
@@ -141,6 +158,7 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
         for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
             _take_out(tally, int(row["number"]))
             _closed(tally, row, stamp)
+            tally.typed.closed(row)
     elif port == "cycles":
         for stamp, curve in zip(chunk.time.tolist(), chunk.data, strict=True):
             k = tally.recent.awaiting(stamp)
@@ -164,6 +182,14 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
             _alarm(tally, port, stamp, row)
     elif port in ("footfalls", "gait", "symmetry", "bursts", "active"):
         tally.groups.hear(port, chunk.data)
+    elif port == "each_burst":
+        for row in chunk.data:
+            tally.each_burst.add(
+                int(row["number"]), int(row["muscle"]), [float(row[name]) for name in each_burst.VALUES]
+            )
+    elif port == "frequency":
+        for row in chunk.data:
+            _frequency(tally, row, specs["cycles"].channels)
     elif port in ("modes", "distance"):
         tally.peaks.hear(port, chunk.data)
     elif port in ("low", "high"):
@@ -198,6 +224,8 @@ def _take_out(tally: Tally, number: int) -> None:
     if k is None:
         return
     tally.revised += 1
+    tally.each_burst.forget(number)
+    tally.frequencies.forget(number)
     reason = int(recent.reasons[k])
     if reason != ACCEPTED:
         listed = tally.rejections[: tally.rejected]
@@ -227,6 +255,16 @@ def _statistics(tally: Tally, names: list[str], rows: Array) -> None:
                 tally.recent.fields[k, i] = values
         if k is not None:
             tally.groups.numbers(k, tally.recent.fields[k])
+
+
+def _frequency(tally: Tally, row: Any, muscles: tuple[str, ...]) -> None:
+    """A muscle's median frequency in a cycle; one that is left out there does not count."""
+    if row["name"] not in muscles:
+        return
+    i, k = muscles.index(str(row["name"])), tally.recent.find(int(row["number"]))
+    if k is not None and np.isfinite(tally.recent.curves[k, 0, i]):
+        tally.frequencies.add(int(row["number"]), i, [float(row["median_hz"])])
+        tally.slopes[i] = row["slope_pct_per_min"]
 
 
 def _alarm(tally: Tally, port: str, stamp: int, row: Any) -> None:

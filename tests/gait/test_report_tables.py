@@ -1,0 +1,102 @@
+"""The report's tables of remarks, of every burst and of median frequencies; numbers and units as people read them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from devices.outlets.report.compose import compose
+from devices.outlets.report.cycle_store import circular
+from devices.outlets.report.data import Grid, Report
+from devices.outlets.report.grids import _bursts
+from devices.outlets.report.groups import Groups
+from devices.outlets.report.page import render
+from devices.outlets.report.tally import Tally, hear, nothing_yet
+from operators.emg.median_frequency import MedianFrequency
+from operators.gait.bursts import CycleBursts
+from stream.chunk import NS, Chunk, Specs, StreamSpec
+from stream.manual import ANNOTATION
+from tests.support.emg_run import drive
+from tests.support.steep_walk import cut, steep_walk
+
+
+@pytest.fixture(scope="module")
+def heard() -> tuple[Tally, Specs]:
+    """What a report has been given of a walk of two legs, in which somebody typed three remarks."""
+    walk = steep_walk(30)
+    made = cut(walk)
+    both = {port: made[port] for port in ("closed", "cycles")}
+    bursts = drive(CycleBursts(), both, 50)
+    said = np.array([(12 * NS, "stumbled"), (14 * NS, "leave out last"), (1, "before the walk")], ANNOTATION)
+    given = {
+        **both,
+        "bursts": bursts["session"],
+        "each_burst": bursts["bursts"],
+        "frequency": drive(MedianFrequency(), {"signal": walk["emg"], "closed": made["closed"]}, 500)["out"],
+        "annotations": (StreamSpec((), ANNOTATION, units=("ns", "")), np.array([12, 16, 17]) * NS, said),
+    }
+    specs = {port: each[0] for port, each in given.items()}
+    tally = nothing_yet(specs)
+    pieces = [(t, k, port) for k, port in enumerate(given) for t in np.unique(given[port][1]).tolist()]
+    for stamp, _, port in sorted(pieces):
+        here = given[port][1] == stamp
+        hear(tally, specs, port, Chunk(given[port][1][here], given[port][2][here], stamp))
+    return tally, specs
+
+
+@pytest.fixture(scope="module")
+def report(heard: Any) -> Report:
+    return compose(*heard, None, {})[0]
+
+
+def table(report: Report, title: str) -> Grid:
+    return next(grid for grid in report.grids if grid.title == title)
+
+
+def test_remarks_have_their_time_and_cycle_in_the_report_and_in_a_table(heard: Any, tmp_path: Path) -> None:
+    tally, specs = heard
+    rows = {text: (float(at), cycle) for text, at, cycle in table(compose(tally, specs, None, {})[0], "Remarks").rows}
+    closed = {}
+    for name, onset in (("stumbled", 12 * NS), ("leave out last", 14 * NS)):
+        assert rows[name][0] == pytest.approx((onset - tally.started) / NS, abs=0.06)
+        closed[name] = rows[name][1]
+    assert "left " in closed["stumbled"] and "right " in closed["stumbled"] and rows["before the walk"][1] == "–"
+    tally.typed.write(tmp_path / "remarks.csv", tally.started, "walk")
+    with (tmp_path / "remarks.csv").open(newline="") as file:
+        read = list(csv.DictReader(file))
+    assert [row["remark"] for row in read] == ["before the walk", "stumbled", "leave out last"]
+    assert read[1]["cycle"] == closed["stumbled"] and read[1]["recording"] == "walk"
+
+
+def test_every_burst_is_in_numbers(report: Report) -> None:
+    rows = table(report, "Every burst").rows
+    swing, load = ([float(cell.split(" ± ")[0]) for cell in row[1:]] for row in rows if row[0] == "L_TA")
+    assert swing[:4] == pytest.approx([100, 60, 75, 15], abs=3) and load[:4] == pytest.approx([100, 95, 8, 13], abs=3)
+    assert [row[0] for row in rows].count("L_SO") == 1
+
+
+def test_the_median_frequency_is_in_the_report(report: Report) -> None:
+    rows = table(report, "Median frequency").rows
+    assert [row[0] for row in rows] == ["L_TA", "L_SO", "L_GM", "L_BF", "R_TA", "R_SO", "R_GM", "R_BF"]
+    assert all(100 < float(row[2].split(" ± ")[0]) < 300 for row in rows)
+
+
+def test_the_cadence_is_in_steps_per_minute_too(report: Report) -> None:
+    strides, steps = (value for value in report.gait if value.label == "cadence")
+    assert (strides.unit, steps.unit) == ("strides/min", "steps/min") and steps.value == 2 * strides.value
+    grid = table(report, "Limb by limb")
+    assert ("Cadence", "steps/min") in grid.columns and float(grid.rows[0][3]) == pytest.approx(2 * 54.5, abs=2)
+
+
+def test_no_number_is_minus_nothing_and_microvolts_are_printed_with_the_micro_sign(heard: Any) -> None:
+    tally, specs = heard
+    page = render(*compose(tally, specs, None, {}))
+    assert "-0<" not in page and "± -0" not in page and "µV" in page and "uV" not in page
+    groups = Groups.none(specs)
+    groups.burst_names, groups.bursts = ["TA"], [np.array([9, 1.0, 18.0, -0.0, 52.0, -0.0, 34.0, -0.0])]
+    assert _bursts(groups, ["TA"]).rows == [["TA", "9", "1.0", "18 ± 0", "52 ± 0", "34 ± 0"]]
+    assert circular(np.array([18.0, 18.0]))[1] == 0.0
