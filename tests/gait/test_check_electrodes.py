@@ -68,6 +68,32 @@ def test_a_fault_is_named_with_what_to_do(fault, flag, others):
     assert sum(e.flag != "good" for e in found.values()) == 1 + others, found
 
 
+def in_turn(muscles, held_s):
+    """Three seconds of rest, then each of so many muscles contracted for `held_s`, with a second between them."""
+    names = tuple(f"M{k}" for k in range(muscles))
+    spec = StreamSpec((muscles,), rate_hz=1000.0, channels=names, units=("uV",))
+    level = np.full((3000 + round(1000 * (held_s + 1)) * muscles, muscles), 4.0)
+    for k in range(muscles):
+        begin = 3000 + round(1000 * (held_s + 1)) * k
+        level[begin : begin + round(1000 * held_s), k] = 340.0
+    return spec, np.random.default_rng(2).standard_normal(level.shape) * level
+
+
+@pytest.mark.parametrize("held_s", [0.6, 3.0])
+def test_muscles_contracted_one_after_another_are_good_however_many_they_are(held_s):
+    spec, x = in_turn(16, held_s)
+    found = check_electrodes(spec, stamps(len(x)), x, (0, 3), (3, len(x) / 1000))
+    assert [(e.flag, e.reason) for e in found] == [("good", "")] * 16
+    assert [e.contraction for e in found] == pytest.approx([340.0] * 16, rel=0.2)
+
+
+def test_a_knock_on_a_cable_is_no_contraction():
+    x = measured("no contraction")
+    x[9000:9150, 1] += 300 * np.sin(np.arange(150) / 4)  # 40 Hz for 150 ms
+    found = {e.name: e for e in check_electrodes(SPEC, stamps(14000), x, (0, 5), (5, 14))}
+    assert found["SO"].reason == "no contraction"
+
+
 def test_a_stage_that_is_not_there_is_refused():
     with pytest.raises(InputError, match="of contraction"):
         check_electrodes(SPEC, stamps(5000), measured()[:5000], (0, 5), (5, 14))

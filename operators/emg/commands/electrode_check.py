@@ -22,6 +22,8 @@ SHARED, SAME = 0.5, 0.9
 MOST_OHM = 50e3
 """Impedance above which an electrode is doubtful; from ten times that on it is bad."""
 BLOCK_S = 0.1
+HELD_BLOCKS = 5
+"""A contraction is judged by its strongest half second, as `calibrate mvc` does by default: muscles may take turns."""
 HELP = {
     **ADVICE,
     "no contraction": "contract this muscle; if you did, look whether the electrode lies over its belly and its cable is plugged in",
@@ -37,7 +39,7 @@ HELP = {
 class Electrode:
     """What was found of one channel: levels as rms in the signal's unit; `flag` good, doubtful or bad; what is wrong, what to do.
 
-    rest, contraction   the quietest and the strongest tenth of the 100 ms of these stages begin or end here
+    rest, contraction   the quietest tenth of the 100 ms at rest ends here; of the strongest half second the median 100 ms
     hum                 share of the power from 20 to 450 Hz in the mains' lines
     shared, with_       the highest correlation with another channel during the contraction, and that channel
     ohm                 what the device measured of each pole, + first; empty: it does not measure that
@@ -74,7 +76,7 @@ def check_electrodes(
         if not rate or len(stage) < rate:
             raise InputError("in", f"{len(stage)} samples of {name}", "a second of it at least, at a regular rate")
     hum, flags, reasons = _quality(spec, time, data)
-    below, above = (np.quantile(_levels(x, rate), q, axis=0) for x, q in ((quiet, 0.1), (strong, 0.9)))
+    below, above = np.quantile(_levels(quiet, rate), 0.1, axis=0), _strongest(_levels(strong, rate))
     shared, other = _shared(
         strong, rate, [k for k, reason in enumerate(reasons) if reason not in ("flat line", "mains hum")]
     )
@@ -132,6 +134,12 @@ def _levels(data: Samples, rate_hz: float) -> Samples:
     """The rms (blocks, channels) of every 100 ms."""
     n = max(2, round(BLOCK_S * rate_hz))
     return np.asarray(np.nan_to_num(data)[: len(data) // n * n].reshape(-1, n, data.shape[1]).std(axis=1))
+
+
+def _strongest(levels: Samples) -> Samples:
+    """The highest level (channels,) that is held for half a second; the median of its blocks, so that a knock is no contraction."""
+    held = np.lib.stride_tricks.sliding_window_view(levels, HELD_BLOCKS, axis=0)
+    return np.asarray(np.median(held, axis=-1).max(axis=0))
 
 
 def _shared(data: Samples, rate_hz: float, usable: list[int]) -> tuple[Samples, Times]:
