@@ -39,6 +39,12 @@ def export(
         ExportClock,
         typer.Option(help="CSV: seconds since the recording's first sample, ISO 8601 in UTC, or ns since 1970"),
     ] = ExportClock.seconds,
+    resample: Annotated[
+        bool,
+        typer.Option(
+            "--resample", help="interpolate signals whose stamps are not regular enough for EDF, BIDS, C3D or TRC"
+        ),
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that are there already")] = False,
 ) -> None:
     """Export a recording's streams to the formats of other programs.
@@ -61,7 +67,7 @@ def export(
                 done += rows
                 progress(done, total)
 
-            export = Export(opened, names, place, time.value, overwrite, more)
+            export = Export(opened, names, place, time.value, overwrite, more, resample)
             try:
                 written = exporter.write(export)
             except OSError as error:

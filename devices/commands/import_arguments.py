@@ -66,7 +66,10 @@ SkippedRows: TypeAlias = Annotated[
 ChunkLength: TypeAlias = Annotated[
     float, typer.Option(min=1.0, max=1000.0, help="samples arrive in windows of this many ms")
 ]
-RepeatedTimes: TypeAlias = Annotated[bool, typer.Option(help="accept repeated times (a clock coarser than the rate)")]
+RepeatedTimes: TypeAlias = Annotated[
+    bool,
+    typer.Option(help="accept repeated times (a coarse clock); leave out packets whose counter repeats"),
+]
 TextWidth: TypeAlias = Annotated[
     int | None,
     typer.Option(min=1, max=4096, help="characters that a marker of an XDF file may have (default: as it has)"),
@@ -75,6 +78,6 @@ Dejitter: TypeAlias = Annotated[bool, typer.Option(help="XDF: remove the jitter 
 KinectColumns: TypeAlias = Annotated[bool, typer.Option(help="CSV: x, y and z of a skeleton's joints, as points")]
 ClockSync: TypeAlias = Annotated[bool, typer.Option(help="XDF: apply the clock offsets that were measured")]
 UntriedFormats: TypeAlias = Annotated[
-    bool, typer.Option("--untried", help="also read formats of which no real file was at hand to try: MVNX, Cortex")
+    bool, typer.Option("--untried", help="also read formats of which no real file was at hand to try: MVNX")
 ]
 Overwrite: TypeAlias = Annotated[bool, typer.Option("--overwrite", help="replace a recording that already exists")]

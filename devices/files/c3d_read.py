@@ -40,6 +40,8 @@ UNITS = {
     "g": "g",
 }
 SIDES = ("left", "right")
+MOST_S = 1e6
+"""No event of a trial is later than this."""
 HEADER_EVENTS = 12345
 """A header with this key holds events."""
 
@@ -63,8 +65,8 @@ def read_c3d(path: Path, start_ns: int = 0, findings: Findings | None = None) ->
     except ValueError as error:
         raise RecordingError(f"{path}: cannot be read as a C3D file ({error})") from None
     frames = frames_of(path, head, parameters)
-    if findings is not None:
-        note(path, parameters, frames, findings)
+    findings = Findings() if findings is None else findings
+    note(path, parameters, frames, findings)
     points, analogue = read_frames(path, frames, parameters)
     start = start_ns + round(frames.first / frames.rate_hz * NS)
     series = []
@@ -72,7 +74,7 @@ def read_c3d(path: Path, start_ns: int = 0, findings: Findings | None = None) ->
         series.append(_markers(path, parameters, points, frames.rate_hz, start))
     if analogue.size:
         series.append(_analogue(path, parameters, analogue, frames.rate_hz * frames.per_frame, start))
-    return [*series, *_events(path, parameters, head, start_ns)]
+    return [*series, *_events(path, parameters, head, start_ns, findings)]
 
 
 def _markers(path: Path, parameters: Parameters, data: Array, rate: float, start: int) -> Series:
@@ -91,32 +93,46 @@ def _analogue(path: Path, parameters: Parameters, data: Array, rate: float, star
     return Series(f"{path.stem}.analog", spec, grid_of(rate, np.arange(len(data)), start), data)
 
 
-def _events(path: Path, parameters: Parameters, head: bytes, start_ns: int) -> list[Series]:
+def _events(path: Path, parameters: Parameters, head: bytes, start_ns: int, findings: Findings) -> list[Series]:
+    """Events, as far as each has a time: where they do not match, that is noted, and markers are read all the same."""
     labels, contexts = parameters.texts("EVENT", "LABELS"), parameters.texts("EVENT", "CONTEXTS")
-    times = parameters.groups.get("EVENT", {}).get("TIMES", np.zeros((2, 0)))
     used = parameters.count("EVENT", "USED")
     count = len(labels) if used is None else min(len(labels), used)
-    if isinstance(times, tuple) or times.ndim != 2:
-        times = np.zeros((2, 0))
-    times, labels, contexts = times[:, :count], labels[:count], contexts[:count]
+    times = _event_times(parameters)[:, :count]
+    labels, contexts = labels[:count], contexts[:count]
     if not any(labels):
-        return _header_events(path, parameters.processor, head, start_ns)
-    if times.shape != (2, len(labels)) or not np.isfinite(times).all():
-        raise RecordingError(f"{path}: {len(labels)} events, but times for {times.shape[-1]}; they cannot be matched")
+        return _header_events(path, parameters.processor, head, start_ns, findings)
+    if times.shape != (2, len(labels)) or not (np.abs(times) < MOST_S).all():
+        findings.doubts.append(
+            f"{path.name}: {len(labels)} events, but times for {times.shape[-1]}: they cannot be matched and are left out"
+            if times.shape != (2, len(labels))
+            else f"{path.name}: the times of its {len(labels)} events are not numbers: they are left out"
+        )
+        return []
     onsets = start_ns + np.round((times[0] * 60.0 + times[1]) * 1e6).astype(np.int64) * 1000
     contexts += [""] * (len(labels) - len(contexts))
     return _event_streams(path, labels, contexts, onsets)
 
 
-def _header_events(path: Path, processor: int, head: bytes, start_ns: int) -> list[Series]:
+def _event_times(parameters: Parameters) -> Array:
+    """Minutes and seconds (2, n) of the events: a table of two rows, or, by some programs, one list of pairs."""
+    times = parameters.groups.get("EVENT", {}).get("TIMES", np.zeros((2, 0)))
+    if isinstance(times, tuple) or (times.ndim > 1 and times.shape[0] != 2):
+        return np.zeros((2, 0))
+    flat = times.ravel(order="F")
+    return flat[: len(flat) // 2 * 2].reshape(2, -1, order="F")
+
+
+def _header_events(path: Path, processor: int, head: bytes, start_ns: int, findings: Findings) -> list[Series]:
     """The events of the header, as older programs write them: labels of four letters, times since frame 1, each shown or not."""
     key, count = wholes(head[298:302], processor)
     if key != HEADER_EVENTS or not 0 < count <= 18:
         return []
     times = reals(head[304:376], processor)[:count].astype(np.float64)
     labels = [text_of(head[396 + 4 * i : 400 + 4 * i]) or f"event{i + 1}" for i in range(count)]
-    if not (np.abs(times) < 1e6).all():
-        raise RecordingError(f"{path}: the times of the header's events are not numbers; the file is damaged")
+    if not (np.abs(times) < MOST_S).all():
+        findings.doubts.append(f"{path.name}: the times of the header's events are not numbers: they are left out")
+        return []
     onsets = start_ns + np.round(times * 1e6).astype(np.int64) * 1000
     return _event_streams(path, labels, [""] * count, onsets)
 

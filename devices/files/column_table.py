@@ -133,7 +133,8 @@ def _signal(shelf: ColumnTable, wishes: Wishes, name: str, parts: Sequence[str])
     data = _joined(name, parts, columns)
     channels = _channels(shelf, wishes, name, data, parts)
     near = first.file if all(column.file == first.file for column in columns) else None
-    time, rate, lost = _timing(shelf, wishes, name, near, len(data))
+    kept, time, rate, lost = _timing(shelf, wishes, name, near, len(data))
+    data = data if len(kept) == len(data) else data[kept]
     if scale := wishes.of(wishes.scale, name):
         data = data * _number(scale, f"--scale {name}")
     spec = StreamSpec(
@@ -195,18 +196,20 @@ def _channels(shelf: ColumnTable, wishes: Wishes, name: str, data: Array, parts:
 
 def _timing(
     shelf: ColumnTable, wishes: Wishes, name: str, near: Path | None, n: int
-) -> tuple[Times, float | None, Array | None]:
-    """Stamps, rate, and lost samples of a signal of `n` samples, whose columns are all of the file `near`."""
+) -> tuple[Array, Times, float | None, Array | None]:
+    """The rows that count, their stamps, rate, and lost samples, of a signal of `n` rows, whose columns are all of the file `near`."""
     rate = _rate(shelf, wishes, name)
     counter = wishes.of(wishes.counter, name)
-    lost = None
+    kept, lost = np.arange(n), None
     if counter:
         found = shelf.part(counter, f"--counter {name}", near)
         _same_length(found.data, n, f"--counter {name}")
-        lost = lost_by_counter(found.data, found.where)
+        kept, lost, doubt = lost_by_counter(found.data, found.where, repeated=wishes.repeated)
+        if doubt:
+            wishes.findings.doubts.append(f"{found.file.name}: {doubt}")
     named = wishes.of(wishes.time, name)
     if named:
-        return _timed(shelf, wishes, name, named, near, n, rate, lost)
+        return kept, *_timed(shelf, wishes, name, named, near, n, rate, kept, lost)
     if rate is None:
         raise RecordingError(
             f"stream {name!r}: when its samples were taken is not known; give --rate {name}=HZ or --time {name}=COLUMN"
@@ -214,9 +217,9 @@ def _timing(
     if counter:
         assert lost is not None
         origin = int(np.asarray(found.data).ravel()[0]) if n else 0
-        index = origin + np.arange(n) + np.cumsum(lost)
-        return grid_of(rate, index, 0), rate, lost
-    return grid_of(rate, np.arange(n), 0), rate, None
+        index = origin + np.arange(len(kept)) + np.cumsum(lost)
+        return kept, grid_of(rate, index, 0), rate, lost
+    return kept, grid_of(rate, kept, 0), rate, None
 
 
 def _timed(
@@ -227,11 +230,12 @@ def _timed(
     near: Path | None,
     n: int,
     rate: float | None,
+    kept: Array,
     lost: Array | None,
 ) -> tuple[Times, float | None, Array | None]:
     column = shelf.part(named, f"--time {name}", near)
     _same_length(column.data, n, f"--time {name}")
-    time = _times(wishes, name, named, column, rate)
+    time = _times(wishes, name, named, column, rate)[kept]
     check_order(time, column.where, column.row, repeated=wishes.repeated)
     found = regular(time, rate)
     if found is None:

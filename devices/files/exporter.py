@@ -6,7 +6,7 @@ An exporter is an entry point of the group `kinegraph.exporters`, so that any pa
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -34,6 +34,7 @@ class Export:
     clock      how tables write times: seconds since the recording's first sample, ISO 8601 in UTC, or ns since 1970
     overwrite  whether what already exists is replaced
     progress   receives how many more samples have been written
+    resample   whether signals without regular stamps are interpolated where a format needs a regular rate
     """
 
     recording: Recording
@@ -42,6 +43,7 @@ class Export:
     clock: Clock
     overwrite: bool
     progress: Callable[[int], None]
+    resample: bool = False
 
     @property
     def origin(self) -> int:
@@ -54,6 +56,23 @@ class Export:
             raise RecordingError(f"{path}: is a folder; choose another --out")
         if path.exists() and not self.overwrite:
             raise RecordingError(f"{path}: already exists; choose another --out, or replace it with --overwrite")
+
+
+FILE_NAME = 200
+"""Letters of a file's name, beside its ending; file systems take 255 bytes."""
+
+
+def titled(names: Sequence[str], width: int, forbidden: str) -> list[str]:
+    """Titles of at most `width` letters, one per name, that differ in more than capital letters; `forbidden` letters become _."""
+    made: list[str] = []
+    for name in names:
+        plain = re.sub(forbidden, "_", name)[: width - 3] or "stream"
+        title, count = plain, 1
+        while title.lower() in {other.lower() for other in made}:
+            count += 1
+            title = f"{plain}_{count}"
+        made.append(title)
+    return made
 
 
 Written: TypeAlias = "tuple[str, Path, int]"
@@ -113,19 +132,14 @@ def _csv(wanted: Export) -> list[Written]:
 
 
 def _tables(wanted: Export) -> dict[str, Path]:
-    """The file of each stream. Raises RecordingError where one would be lost: two of a name, or one that already exists."""
+    """The file of each stream. Raises RecordingError where one would be lost."""
     folder = wanted.place
     if folder.exists() and not folder.is_dir():
         raise RecordingError(f"--out {folder}: is a file; name a folder for the tables")
-    paths: dict[str, Path] = {}
-    for name in wanted.names:
-        path = folder / f"{re.sub(r'[^A-Za-z0-9._-]', '_', name)}.csv"
-        if other := next((n for n, p in paths.items() if p == path), None):
-            raise RecordingError(
-                f"streams {other!r} and {name!r} would both become {path}; export one of them with --stream"
-            )
+    titles = titled(wanted.names, FILE_NAME, r"[^A-Za-z0-9._-]")
+    paths = {name: folder / f"{title}.csv" for name, title in zip(wanted.names, titles, strict=True)}
+    for path in paths.values():
         wanted.refuse_existing(path)
-        paths[name] = path
     return paths
 
 

@@ -99,6 +99,8 @@ def read_files(files: Sequence[Path], wishes: Wishes, *, kinect: bool = False) -
     by_suffix = _suffixes(kinect)
     kinds: list[tuple[Importer, list[Path]]] = []
     for file in files:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise RecordingError(f"{file}: is a pipe or a device; write what comes out of it to a file first")
         one = (
             by_suffix[file.suffix.lower()]
             if kinect and file.suffix.lower() in by_suffix

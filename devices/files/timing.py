@@ -136,23 +136,37 @@ def snapped(rate: float) -> float:
     return rate
 
 
-def lost_by_counter(counter: Array, what: str) -> Array:
-    """Samples missing before each one by a packet counter that grows by one and may wrap at a power of two. Returns (n,) int64.
+def lost_by_counter(counter: Array, what: str, *, repeated: bool = False) -> tuple[Array, Array, str]:
+    """Samples missing before each one by a packet counter that grows by one and may wrap at a power of two.
 
-    Raises RecordingError where it does not grow.
+    A packet that appears again is left out: returns the rows that stay (m,), what was lost before each of them (m,) int64, and what is
+    doubtful about it, in words. Raises RecordingError where the counter runs backwards, or repeats more often than in 1 % of the rows
+    (`repeated`: than in all).
     """
     if counter.dtype.kind not in "iuf" or not (np.abs(counter.astype(np.float64)) < MOST_NS).all():
         raise RecordingError(f"{what} 0: the counter holds something else than whole numbers")
     values = counter.astype(np.int64)
+    again = np.flatnonzero(np.diff(values) == 0) + 1
+    if len(again) and (len(again) == len(values) - 1 or (len(again) > max(1, len(values) // 100) and not repeated)):
+        raise RecordingError(
+            f"{what} {again[0]}: the counter stands still at {values[again[0]]}, as in {len(again)} of {len(values)} rows; if packets were "
+            "written more than once, leave the others out with --repeated"
+        )
+    kept = np.delete(np.arange(len(values)), again)
+    values = values[kept]
     steps = np.diff(values)
     if (steps < 0).any():
         modulo = 1 << int(values.max()).bit_length()
         back = values[:-1][steps < 0]
-        steps = np.where(steps < 0, steps + modulo, steps)
         if (back < modulo * 3 // 4).any():
-            row = int(np.flatnonzero(np.diff(values) < 0)[0]) + 1
-            raise RecordingError(f"{what} {row}: the counter runs backwards, from {values[row - 1]} to {values[row]}")
-    if (steps == 0).any():
-        row = int(np.flatnonzero(steps == 0)[0]) + 1
-        raise RecordingError(f"{what} {row}: the counter stands still at {values[row]}")
-    return np.concatenate([[0], steps - 1])
+            at = int(np.flatnonzero(steps < 0)[0])
+            raise RecordingError(
+                f"{what} {kept[at + 1]}: the counter runs backwards, from {values[at]} to {values[at + 1]}"
+            )
+        steps = np.where(steps < 0, steps + modulo, steps)
+    doubt = (
+        f"{len(again)} of {len(counter)} packets have the counter of the packet before (first in row {again[0]}) and are left out"
+        if len(again)
+        else ""
+    )
+    return kept, np.concatenate([[0], steps - 1]), doubt

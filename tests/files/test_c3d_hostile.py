@@ -11,6 +11,7 @@ import pytest
 
 from devices.files.c3d_read import read_c3d
 from devices.files.findings import Findings
+from stream.chunk import NS
 from stream.errors import RecordingError
 from tests.files.c3d_made import Made, but, c3d_bytes, real, texts, usual, whole
 from tests.support.measured import MOST_S
@@ -87,9 +88,46 @@ def test_very_many_channels_and_kinds_of_events_are_named_in_time(tmp_path: Path
         Made("EVENT", "LABELS", -1, [4, 200, 15], "".join(f"{i:04}" for i in range(count)).encode()),
         Made("EVENT", "TIMES", 4, [2, 200, 15], np.arange(2.0 * count, dtype="<f4").tobytes()),
     )
-    with pytest.raises(RecordingError, match="3000 events, but times for"):
-        read(tmp_path, *events)
+    found = read(tmp_path, *events)
+    assert len(found) == 2 + count and found["2999"]["onset"].tolist() == [round((5998 * 60 + 5999) * NS)]
     assert time.process_time() - begun < MOST_S
+
+
+EVENTS = (
+    whole("EVENT:USED", 3),
+    texts("EVENT:LABELS", "Strike", "Off", "Strike"),
+    texts("EVENT:CONTEXTS", "Left", "Left", "Right"),
+)
+
+
+def pairs_of(*values: float) -> bytes:
+    return struct.pack(f"<{len(values)}f", *values)
+
+
+@pytest.mark.parametrize("extents", [[2, 3], [6]])
+def test_events_have_their_times_as_a_table_or_as_a_list_of_pairs(tmp_path: Path, extents: list[int]) -> None:
+    times = Made("EVENT", "TIMES", 4, extents, pairs_of(0, 1.5, 0, 2.25, 1, 0.5))
+    found = read(tmp_path, *EVENTS, times)
+    assert {name: one["onset"].tolist() for name, one in found.items() if one.dtype.names} == {
+        "left_strike": [round(1.5 * NS)], "left_off": [round(2.25 * NS)], "right_strike": [round(60.5 * NS)]
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("times", "doubt"),
+    [
+        (Made("EVENT", "TIMES", 4, [2, 2], pairs_of(0, 1, 0, 2)), "3 events, but times for 2: they cannot be matched"),
+        (Made("EVENT", "TIMES", 4, [3, 2], pairs_of(*range(6))), "3 events, but times for 0"),
+        (Made("EVENT", "TIMES", 4, [2, 3], pairs_of(0, 1, 0, np.nan, 0, 3)), "are not numbers"),
+        (texts("EVENT:TIMES", "now", "then", "soon"), "3 events, but times for 0"),
+    ],
+)
+def test_events_without_their_times_cost_no_marker(tmp_path: Path, times: Made, doubt: str) -> None:
+    (tmp_path / "made.c3d").write_bytes(c3d_bytes(but(usual(), *EVENTS, times)))
+    findings = Findings()
+    found = read_c3d(tmp_path / "made.c3d", findings=findings)
+    assert [one.name for one in found] == ["made.markers", "made.analog"]
+    assert any(doubt in each and "left out" in each for each in findings.doubts), findings.doubts
 
 
 def long(tmp_path: Path, *others: Made, frames: int = 70_000, fill: bytes = b"") -> tuple[int, Findings]:

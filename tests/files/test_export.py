@@ -20,6 +20,7 @@ from stream.errors import RecordingError
 from stream.graph import RecordingOptions
 from stream.operator import grid
 from stream.recording import Recorder
+from stream.recording.series import Series, write_recording
 from tests.support.convert_run import DATA, arrays, assert_live_like, imported, kinegraph, needs_data, refused
 
 
@@ -93,6 +94,18 @@ def test_csv_export_keeps_every_digit_and_comes_back(tmp_path: Path, capsys: pyt
         cli.call("export", [str(tmp_path / "r.mcap"), "--stream", "depth"])
     with pytest.raises(RecordingError, match="no stream 'emgs' was recorded; did you mean 'emg'"):
         cli.call("export", [str(tmp_path / "r.mcap"), "--stream", "emgs"])
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet", "matlab", "xlsx", "xdf", "foxglove"])
+def test_a_name_of_any_length_keeps_no_stream_from_its_export(tmp_path: Path, kind: str) -> None:
+    names = ["x" * 300, "x" * 300 + "y", "a/b", "a:b", "emg"]
+    spec = StreamSpec((1,), rate_hz=100.0, channels=("TA",), units=("uV",))
+    write_recording(
+        tmp_path / "r.mcap", [Series(name, spec, grid(100.0, 9), np.ones((9, 1))) for name in names], {"graph": ""}
+    )
+    kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "out", "--format", kind)
+    if (tmp_path / "out").is_dir():
+        assert len(list((tmp_path / "out").iterdir())) == len(names)
 
 
 def test_csv_export_wants_a_folder(tmp_path: Path) -> None:

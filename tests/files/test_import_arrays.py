@@ -174,6 +174,19 @@ def test_regular_times_become_exact_stamps() -> None:
 
 
 def test_counters_that_wrap() -> None:
-    assert lost_by_counter(np.array([253, 254, 255, 0, 2, 3]), "row").tolist() == [0, 0, 0, 0, 1, 0]
+    assert lost_by_counter(np.array([253, 254, 255, 0, 2, 3]), "row")[1].tolist() == [0, 0, 0, 0, 1, 0]
     with pytest.raises(RecordingError, match="row 3: the counter runs backwards, from 9 to 4"):
         lost_by_counter(np.array([1, 2, 9, 4]), "row")
+
+
+def test_a_repeated_counter_leaves_out_that_row_with_its_time(tmp_path: Path) -> None:
+    counter = np.array([7, 8, 8, 9, 11])
+    arrays = {"x": np.arange(5.0), "count": counter, "t_s": counter / 10}
+    np.savez(tmp_path / "a.npz", **arrays)
+    for timing in (("--rate", "10"), ("--time", "t_s")):
+        with imported(
+            tmp_path / timing[0][2:], tmp_path / "a.npz", "--stream", "s=x", "--counter", "count", *timing
+        ) as made:
+            time, data = made.read("s")
+            assert data.ravel().tolist() == [0, 1, 3, 4] and np.round(time / 1e8).tolist() == [7, 8, 9, 11]
+            assert "1 of 5 packets" in made.header["imported"]["doubts"][0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -172,20 +173,59 @@ def test_inertial_sensors(tmp_path: Path) -> None:
 
 
 def test_cortex(tmp_path: Path) -> None:
-    found, _ = read(tmp_path / "walk.forces", made.FORCES, untried=True)
+    found, _ = read(tmp_path / "walk.forces", made.FORCES)
     assert found["force"].spec.units == ("N", "N", "N", "mm", "mm", "mm", "Nmm") and found["force"].spec.rate_hz == 300
-    found, findings = read(tmp_path / "walk.anc", made.ANC, untried=True)
-    assert found["analog"].data[29, 0] == pytest.approx(
-        2900 * 5000 / 32768 / 1000
-    ) and "never checked on a real board" in doubts(findings)
+    found, findings = read(tmp_path / "walk.anc", made.ANC)
+    assert found["analog"].data[29, 0] == pytest.approx(2900 * 5000 / 32768 / 1000) and not doubts(findings)
 
 
-@pytest.mark.parametrize(("name", "text"), [("w.forces", made.FORCES), ("w.anc", made.ANC), ("w.mvnx", made.MVNX)])
-def test_a_format_of_which_no_real_file_was_at_hand_is_refused_unless_asked_for(
-    name: str, text: str, tmp_path: Path
-) -> None:
-    with pytest.raises(RecordingError, match=rf"{name}: the reader of .* never on a real export; --untried reads it"):
-        read(tmp_path / name, text)
+def test_an_analogue_table_that_was_cut_off_is_doubted(tmp_path: Path) -> None:
+    whole = made.ANC.replace("Trial#:\t1\n", "Trial#:\t1\tDuration(Sec.):\t0.100000\t#Channels:\t2          \n")
+    assert not doubts(read(tmp_path / "walk.anc", whole)[1])
+    cut = "".join(whole.splitlines(keepends=True)[:-25])
+    found, findings = read(tmp_path / "cut.anc", cut)
+    assert len(found["analog"]) == 5
+    assert "30 samples (0.100000 s) are announced, 5 are there; was the file cut off?" in doubts(findings)
+    assert "3 channels are announced, 2 are there" in doubts(
+        read(tmp_path / "c.anc", whole.replace("#Channels:\t2", "#Channels:\t3"))[1]
+    )
+
+
+def test_a_packet_that_was_written_twice_costs_no_other_packet(tmp_path: Path) -> None:
+    rows = made.MT_MANAGER.splitlines(keepends=True)
+    found, findings = read(tmp_path / "MT_1.txt", "".join([*rows[:6], rows[5], *rows[6:]]))
+    alone = read(tmp_path / "MT_1.txt", made.MT_MANAGER)[0]
+    assert "1 of 8 packets have the counter of the packet before (first in row 2) and are left out" in doubts(findings)
+    assert np.array_equal(found["acc"].data, alone["acc"].data) and np.array_equal(found["acc"].time, alone["acc"].time)
+    often = "".join([*rows[:4], *(row for row in rows[4:] for _ in range(2))])
+    with pytest.raises(
+        RecordingError, match=r"stands still at 65533, as in 7 of 14 rows; .* leave the others out with --repeated"
+    ):
+        read(tmp_path / "MT_1.txt", often)
+    assert np.array_equal(read(tmp_path / "MT_1.txt", often, repeated=True)[0]["acc"].data, alone["acc"].data)
+
+
+def test_a_marker_table_is_read_whatever_number_of_markers_it_announces(tmp_path: Path) -> None:
+    whole = read(tmp_path / "m.trc", made.TRC)[0]["markers"]
+    found, findings = read(tmp_path / "m.trc", made.TRC.replace("\t10\t2\tm", "\t10\t4\tm"))
+    assert np.array_equal(found["markers"].data, whole.data, equal_nan=True)
+    assert "4 markers are announced, 2 are named, 2 are there" in doubts(findings)
+    found, findings = read(tmp_path / "m.trc", made.TRC.replace("RTOE", ""))
+    assert found["markers"].spec.channels == ("LTOE", "marker2") and "2 are there" in doubts(findings)
+    assert np.array_equal(found["markers"].data, whole.data, equal_nan=True)
+
+
+def test_a_format_of_which_no_real_file_was_at_hand_is_refused_unless_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"w.mvnx: the reader of .* never on a real export; --untried reads it"):
+        read(tmp_path / "w.mvnx", made.MVNX)
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "walk.csv")
+    with pytest.raises(RecordingError, match=r"walk.csv: is a pipe or a device; write what comes out of it to a file"):
+        read(tmp_path / "walk.csv")
+    with pytest.raises(RecordingError, match=r"/dev/zero: is a pipe or a device"):
+        read(Path("/dev/zero"))
 
 
 def test_mvnx_by_its_frames_time_of_day(tmp_path: Path) -> None:

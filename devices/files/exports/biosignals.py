@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from devices.files.exporter import Export, Exporter, Written
-from devices.files.exports.gathered import Gathered, events_of, gather
+from devices.files.exports.gathered import Gathered, Grid, events_of, gather, on_grids
 from stream.chunk import NS, Samples
 from stream.complete import complete, private_folder
 from stream.errors import RecordingError
 from stream.plain import say
 
 LONGEST_RECORD_S = 60
+MOST_LETTERS = 60
+"""Of a subject or a task in the names of BIDS files."""
 FIRST_YEAR, LAST_YEAR = 1985, 2084
 VOLTAGES = ("V", "mV", "uV")
 
@@ -46,13 +48,14 @@ def _biosignals(wanted: Export, *, wide: bool) -> list[Written]:
     return [(one.name, wanted.place, len(one.time)) for one in streams if one in signals or one.spec.is_event]
 
 
-def _write(path: Path, signals: Sequence[Gathered], events: list[Gathered], wanted: Export, *, wide: bool) -> None:
+def _write(path: Path, signals: Sequence[Gathered], events: list[Gathered], wanted: Export, *, wide: bool) -> float:
+    """Write the file and return its highest rate."""
     import edfio
 
-    gridded = [(one, *one.gridded()) for one in signals]
-    start = min(first for _, _, first, _ in gridded)
-    record_s = _record([rate for _, rate, _, _ in gridded])
-    length = max(((first - start) / NS + len(data) / rate) for _, rate, first, data in gridded)
+    grids = on_grids(signals, resample=wanted.resample)
+    start = min(grid.start for grid in grids)
+    record_s, rates = _record(grids)
+    length = max((grid.start - start) / NS + len(grid.data) / rate for grid, rate in zip(grids, rates, strict=True))
     records = max(1, int(np.ceil(length / record_s - 1e-6)))
     made: list[Any] = []
     notes = [
@@ -60,9 +63,10 @@ def _write(path: Path, signals: Sequence[Gathered], events: list[Gathered], want
         for onset, n, text, side in events_of(events)
     ]
     kind = edfio.BdfSignal if wide else edfio.EdfSignal
-    for one, rate, first, data in gridded:
+    for grid, rate in zip(grids, rates, strict=True):
+        one, data = grid.stream, grid.data
         count = round(records * record_s * rate)
-        shift = round((first - start) * rate / NS)
+        shift = round((grid.start - start) * rate / NS)
         for k, label in enumerate(one.labels):
             values = np.full(count, np.nan)
             values[shift : shift + len(data)] = data[: count - shift, k]
@@ -88,24 +92,44 @@ def _write(path: Path, signals: Sequence[Gathered], events: list[Gathered], want
         data_record_duration=record_s,
         annotations=sorted(note for note in notes if note.onset >= 0),
     ).write(path)
+    return max(rates)
 
 
-def _record(rates: Sequence[float]) -> int:
-    """The shortest whole number of seconds that holds whole numbers of samples of every rate. Raises RecordingError."""
+def _record(grids: Sequence[Grid]) -> tuple[float, list[float]]:
+    """Seconds to a record, and the rates that come of it: every rate has a whole number of samples in it. Raises RecordingError.
+
+    The nominal rates decide about whole seconds, of which the shortest are taken. Where a rate was fitted, a record is a little shorter or
+    longer, in the eight places that the header has; then the shortest are taken whose rounding moves no sample by a tenth of a period.
+    """
+    nominal = [grid.stream.nominal_hz for grid in grids]
+    share = grids[0].rate_hz / nominal[0]
+    found: list[tuple[float, float, list[float]]] = []
     for seconds in range(1, LONGEST_RECORD_S + 1):
-        if all(abs(rate * seconds - round(rate * seconds)) < 1e-3 for rate in rates):
-            return seconds
-    told = ", ".join(f"{rate:g}" for rate in sorted(set(rates)))
-    raise RecordingError(
-        f"EDF has whole numbers of samples in records of up to {LONGEST_RECORD_S} s, which rates of {told} Hz do not give: resample"
-    )
+        counts = [round(rate * seconds) for rate in nominal]
+        if any(abs(rate * seconds - count) >= 1e-3 for rate, count in zip(nominal, counts, strict=True)):
+            continue
+        if share == 1.0:
+            return seconds, nominal
+        record_s = float(f"{seconds / share:.8f}"[:8])
+        rates = [count / record_s for count in counts]
+        moved = max(len(g.data) * abs(rate / g.rate_hz - 1) for g, rate in zip(grids, rates, strict=True))
+        found.append((max(moved, 0.1), record_s, rates))
+    if not found:
+        listed = ", ".join(f"{rate:g}" for rate in sorted(set(nominal)))
+        raise RecordingError(
+            f"EDF has whole numbers of samples in records of up to {LONGEST_RECORD_S} s, which rates of {listed} Hz do not give: resample"
+        )
+    _, record_s, rates = min(found)
+    return record_s, rates
 
 
 def _range(values: Samples) -> tuple[float, float]:
-    """A physical range that holds every value, in numbers that an EDF header's eight places can tell."""
-    most = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
-    digits = 10.0 ** (np.floor(np.log10(most)) - 3)
-    most = float(f"{np.ceil(most / digits) * digits:.5g}")
+    """A physical range that holds every value, in numbers that an EDF header's eight places can show."""
+    peak = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
+    digits = 10.0 ** (np.floor(np.log10(peak)) - 3)
+    steps = np.ceil(peak / digits)
+    while (most := float(f"{steps * digits:.5g}")) < peak:
+        steps += 1
     return -most, most
 
 
@@ -132,8 +156,8 @@ def _bids(wanted: Export) -> list[Written]:
     if wanted.place.is_file():
         raise RecordingError(f"--out {wanted.place}: is a file; name the study's folder")
     facts = wanted.recording.header.get("session") or {}
-    subject = re.sub(r"[^A-Za-z0-9]", "", str(facts.get("subject", ""))) or "01"
-    task = re.sub(r"[^A-Za-z0-9]", "", str(facts.get("task", ""))) or "recording"
+    subject = re.sub(r"[^A-Za-z0-9]", "", str(facts.get("subject", "")))[:MOST_LETTERS] or "01"
+    task = re.sub(r"[^A-Za-z0-9]", "", str(facts.get("task", "")))[:MOST_LETTERS] or "recording"
     stem = f"sub-{subject}_task-{task}"
     folder = wanted.place / f"sub-{subject}"
     streams = gather(wanted)
@@ -154,15 +178,15 @@ def _bids(wanted: Export) -> list[Written]:
         tracking = "kinegraph" if len(markers) == 1 else f"kinegraph{number + 1}"
         path = folder / "motion" / f"{stem}_tracksys-{tracking}_motion.tsv"
         wanted.refuse_existing(path)
-        _motion(path, one, task, tracking, events)
+        _motion(path, on_grids([one], resample=wanted.resample)[0], task, tracking, events)
         written.append((one.name, path, len(one.time)))
     if emg:
         path = folder / "emg" / f"{stem}_emg.edf"
         wanted.refuse_existing(path)
         private_folder(path.parent)
         with complete(path) as draft:
-            _write(draft, emg, events, wanted, wide=False)
-        _emg_sidecars(path, emg, task, events)
+            rate = _write(draft, emg, events, wanted, wide=False)
+        _emg_sidecars(path, emg, task, events, rate)
         written += [(one.name, path, len(one.time)) for one in emg]
     _study(wanted, subject, facts)
     for one in streams:
@@ -171,8 +195,8 @@ def _bids(wanted: Export) -> list[Written]:
     return written
 
 
-def _motion(path: Path, one: Gathered, task: str, tracking: str, events: list[Gathered]) -> None:
-    rate, start, points = one.gridded()
+def _motion(path: Path, grid: Grid, task: str, tracking: str, events: list[Gathered]) -> None:
+    one, rate, start, points = grid.stream, grid.rate_hz, grid.start, grid.data
     flat = points.reshape(len(points), -1)
     rows = [["n/a" if np.isnan(value) else f"{value:.10g}" for value in row] for row in flat]
     _tsv(path, rows)
@@ -190,11 +214,10 @@ def _motion(path: Path, one: Gathered, task: str, tracking: str, events: list[Ga
     _events(path.parent / f"{stem.rpartition('_tracksys')[0]}_events.tsv", events, start)
 
 
-def _emg_sidecars(path: Path, emg: Sequence[Gathered], task: str, events: list[Gathered]) -> None:
+def _emg_sidecars(path: Path, emg: Sequence[Gathered], task: str, events: list[Gathered], rate: float) -> None:
     stem = path.name.removesuffix("_emg.edf")
     rows = [[_ascii(label, 16), "EMG", _unit(one, k)] for one in emg for k, label in enumerate(one.labels)]
     _tsv(path.parent / f"{stem}_channels.tsv", [["name", "type", "units"], *rows])
-    rate = max(one.spec.rate_hz or 0.0 for one in emg)
     about = {
         "TaskName": task, "SamplingFrequency": rate, "EMGChannelCount": len(rows), "EMGReference": "n/a", "EMGPlacementScheme": "Other",
         "EMGPlacementSchemeDescription": "n/a", "PowerLineFrequency": "n/a", "SoftwareFilters": "n/a", "RecordingType": "continuous",

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from devices.files.exporter import Export, Exporter, Written
-from devices.files.exports.gathered import Gathered, events_of, gather, the_one
+from devices.files.exports.gathered import Gathered, Grid, events_of, gather, on_grids, the_one
 from stream.chunk import NS, Samples
 from stream.complete import complete, private_folder
 from stream.errors import RecordingError
@@ -30,7 +30,9 @@ def _c3d(wanted: Export) -> list[Written]:
     signals = [one for one in streams if one.spec.is_signal and one.spec.rate_hz and len(one.time)]
     if not markers and not signals:
         raise RecordingError("a C3D file holds markers and signals of a regular rate; there are none")
-    frame_rate, start, points = the_one(markers, "a C3D file", "markers").gridded() if markers else _no_points(signals)
+    shown = [the_one(markers, "a C3D file", "markers")] if markers else []
+    grids = on_grids([*shown, *signals], resample=wanted.resample)
+    frame_rate, start, points = (grids[0].rate_hz, grids[0].start, grids[0].data) if shown else _no_points(grids)
     made = ezc3d.c3d()
     made["parameters"]["POINT"]["RATE"]["value"] = [frame_rate]
     frames = points.shape[0]
@@ -43,7 +45,7 @@ def _c3d(wanted: Export) -> list[Written]:
     held[:3] = points.transpose(2, 1, 0) if labels else 0.0
     made["data"]["points"] = held
     made["data"]["meta_points"]["residuals"] = np.where(np.isnan(held[:3]).any(axis=0), -1.0, 0.0)[None]
-    _analogs(made, signals, frame_rate, start, frames)
+    _analogs(made, grids[len(shown) :], frame_rate, start, frames)
     _c3d_events(made, streams, start)
     with complete(wanted.place) as draft, TemporaryDirectory() as folder:
         made.write(str(copy := Path(folder, "made.c3d")))
@@ -52,30 +54,30 @@ def _c3d(wanted: Export) -> list[Written]:
     return [(one.name, wanted.place, len(one.time)) for one in taken]
 
 
-def _no_points(signals: list[Gathered]) -> tuple[float, int, Samples]:
+def _no_points(signals: list[Grid]) -> tuple[float, int, Samples]:
     """Frames for signals alone: as many samples to a frame as it takes to count the frames."""
-    rate, start, data = max(signals, key=lambda one: one.spec.rate_hz or 0.0).gridded()
-    per = -(-len(data) // MOST_FRAMES)
-    return rate / per, start, np.zeros((-(-len(data) // per), 0, 3))
+    finest = max(signals, key=lambda grid: grid.rate_hz)
+    per = -(-len(finest.data) // MOST_FRAMES)
+    return finest.rate_hz / per, finest.start, np.zeros((-(-len(finest.data) // per), 0, 3))
 
 
-def _analogs(made: object, signals: list[Gathered], frame_rate: float, start: int, frames: int) -> None:
+def _analogs(made: object, signals: list[Grid], frame_rate: float, start: int, frames: int) -> None:
     """All signals at the one rate that C3D has, which must be a multiple of the frames'; 0 where nothing was measured."""
     if not signals:
         return
-    rates = {float(one.spec.rate_hz or 0.0) for one in signals}
+    rates = {grid.rate_hz for grid in signals}
     per = round(max(rates) / frame_rate)
     if len(rates) > 1 or per < 1 or abs(max(rates) - per * frame_rate) > NEAR * max(rates):
-        listed = ", ".join(f"{one.name} {one.spec.rate_hz:g} Hz" for one in signals)
+        listed = ", ".join(f"{grid.stream.name} {grid.rate_hz:g} Hz" for grid in signals)
         raise RecordingError(
             f"a C3D file has one rate for signals, a multiple of the frames' {frame_rate:g} Hz; choose with --stream ({listed})"
         )
-    data = np.zeros((1, sum(len(one.labels) for one in signals), frames * per))
+    data = np.zeros((1, sum(len(grid.stream.labels) for grid in signals), frames * per))
     labels: list[str] = []
     units: list[str] = []
-    for one in signals:
-        rate, first, values = one.gridded()
-        shift = round((first - start) * rate / NS)
+    for grid in signals:
+        one, values = grid.stream, grid.data
+        shift = round((grid.start - start) * grid.rate_hz / NS)
         into = slice(max(0, shift), min(data.shape[2], shift + len(values)))
         part = np.nan_to_num(values[into.start - shift : into.stop - shift]).T
         data[0, len(labels) : len(labels) + len(one.labels), into] = part
@@ -97,7 +99,8 @@ def _c3d_events(made: object, streams: list[Gathered], start: int) -> None:
 
 def _trc(wanted: Export) -> list[Written]:
     one = the_one([s for s in gather(wanted) if s.is_markers], "a .trc file", "markers")
-    rate, start, points = one.gridded()
+    grid = on_grids([one], resample=wanted.resample)[0]
+    rate, start, points = grid.rate_hz, grid.start, grid.data
     labels = [re.sub(r"\s+", "_", label) for label in one.labels]
     unit = one.spec.units[0] or "m"
     lines = [

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from devices.files.exporter import Export, Exporter, Written
-from devices.files.exports.gathered import Gathered, gather
+from devices.files.exporter import FILE_NAME, Export, Exporter, Written, titled
+from devices.files.exports.gathered import gather
 from stream.chunk import NS, utc
 from stream.columns import column_names, columns
 from stream.complete import complete, private_folder
@@ -20,20 +20,7 @@ SHEET_ROWS, SHEET_COLUMNS = 1_048_576, 16_384
 MATLAB_NAME = 63
 MATLAB_BYTES = (1 << 31) - 1
 """A variable of a version 5 file holds no more."""
-FORBIDDEN = re.compile(r"[\[\]:*?/\\]")
-
-
-def _named(streams: list[Gathered], width: int, wanted: str) -> list[str]:
-    """Names of at most `width` letters for streams, which differ in capitals and small letters alike."""
-    made: list[str] = []
-    for one in streams:
-        plain = re.sub(wanted, "_", one.name)[: width - 3] or "stream"
-        name, count = plain, 1
-        while name.lower() in {other.lower() for other in made}:
-            count += 1
-            name = f"{plain}_{count}"
-        made.append(name)
-    return made
+FORBIDDEN = r"[\[\]:*?/\\]"
 
 
 def _xlsx(wanted: Export) -> list[Written]:
@@ -42,7 +29,7 @@ def _xlsx(wanted: Export) -> list[Written]:
     private_folder(wanted.place.parent)
     book = openpyxl.Workbook(write_only=True)
     streams = gather(wanted)
-    for one, title in zip(streams, _named(streams, 31, FORBIDDEN.pattern), strict=True):
+    for one, title in zip(streams, titled(wanted.names, 31, FORBIDDEN), strict=True):
         heads = [f"{name} [{unit}]" if unit else name for name, unit in column_names(one.spec)]
         if len(one.time) >= SHEET_ROWS or len(heads) >= SHEET_COLUMNS:
             raise RecordingError(
@@ -80,7 +67,7 @@ def _matlab(wanted: Export) -> list[Written]:
     wanted.refuse_existing(wanted.place)
     private_folder(wanted.place.parent)
     streams, variables = gather(wanted), {}
-    for one, name in zip(streams, _named(streams, MATLAB_NAME, r"[^A-Za-z0-9_]"), strict=True):
+    for one, name in zip(streams, titled(wanted.names, MATLAB_NAME, r"[^A-Za-z0-9_]"), strict=True):
         if one.data.nbytes > MATLAB_BYTES:
             raise RecordingError(
                 f"stream {one.name!r}: its {one.data.nbytes} bytes do not fit into a MATLAB file; export parts of it"
@@ -119,7 +106,7 @@ def _parquet(wanted: Export) -> list[Written]:
         raise RecordingError(f"--out {wanted.place}: is a file; name a folder for the tables")
     private_folder(wanted.place)
     streams, written = gather(wanted), []
-    for one, name in zip(streams, _named(streams, 200, r"[^A-Za-z0-9._-]"), strict=True):
+    for one, name in zip(streams, titled(wanted.names, FILE_NAME, r"[^A-Za-z0-9._-]"), strict=True):
         path = wanted.place / f"{name}.parquet"
         wanted.refuse_existing(path)
         held: dict[str, Any] = {"time": pyarrow.array(one.time, pyarrow.timestamp("ns", tz="UTC"))}

@@ -53,7 +53,7 @@ def read_forces(path: Path, asked: Asked) -> Understood:
 
 
 def read_anc(path: Path, asked: Asked) -> Understood:
-    """.analog in V, from counts of the board by each channel's range and the bit depth. Raises RecordingError."""
+    """.analog in V: counts of the board x range (mV) / 2^(bit depth - 1) / 1000, as a real file's C3D has them. Raises RecordingError."""
     text = TextLines.read(path, asked.skip_rows)
     made = Understood(path, "Cortex analogue table (.anc)")
     head = next((i for i, line in enumerate(text.lines) if line.startswith("Name\t")), None)
@@ -67,12 +67,17 @@ def read_anc(path: Path, asked: Asked) -> Understood:
     depth = _fact(text, top, "BitDepth")
     rate = _fact(text, top, "PreciseRate")
     table = text.table(head + 3, "\t", 1 + len(names))
+    if (length := re.search(r"Duration\(Sec\.\):\t+([\d.]+)", top)) and is_number(length[1]):
+        announced = round(float(length[1]) * rate)
+        if abs(announced - len(table)) > 1:
+            made.doubt(
+                f"{announced} samples ({length[1]} s) are announced, {len(table)} are there; was the file cut off?"
+            )
+    if (count := re.search(r"#Channels:\t+(\d+)", top)) and int(count[1]) != len(names):
+        made.doubt(f"{count[1]} channels are announced, {len(names)} are there")
     factor = np.array([text.number(head + 2, cell) for cell in ranges[1 : 1 + len(names)]]) / 2 ** (depth - 1) / 1000
     if len({text.number(head + 1, cell) for cell in rates[1 : 1 + len(names)]}) > 1:
         made.doubt("its channels have several rates, but every row has a number of each: the rows are believed")
-    made.doubt(
-        "volts are counts x range (mV) / 2^(bit depth - 1) / 1000, the usual rule; it was never checked on a real board"
-    )
     spec = {"channels": names, "units": (asked.unit or "V",)}
     made.add_timed("analog", table[:, 0], table[:, 1:] * factor, head + 4, asked, rate_hz=rate, **spec)
     return made

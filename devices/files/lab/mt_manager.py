@@ -63,7 +63,14 @@ def read_mt_manager(path: Path, asked: Asked) -> Understood:
     made.facts |= {
         k: v for k, v in (("device", facts.get("productcode")), ("firmware", facts.get("firmware version"))) if v
     }
-    rate, lost = _timing(made, text, at, names, table, facts, asked)
+    lost = None
+    if names[0] == "PacketCounter" and np.isfinite(table[:, 0]).all() and len(table):
+        where = f"{text.path}: line {at + 2} on: packet counter"
+        kept, lost, doubt = lost_by_counter(table[:, 0], where, repeated=asked.repeated)
+        table = table[kept]
+        if doubt:
+            made.doubt(doubt)
+    rate = _rate(text, names, table, facts, asked)
     meta = {"device_id": facts.get("deviceid", ""), "coordinate_system": facts.get("coordinate system", "")}
     taken = set()
     for part, pattern, unit in KINDS:
@@ -85,18 +92,12 @@ def read_mt_manager(path: Path, asked: Asked) -> Understood:
     return made
 
 
-def _timing(
-    made: Understood, text: TextLines, at: int, names: list[str], table: Samples, facts: dict[str, str], asked: Asked
-) -> tuple[float, np.ndarray | None]:
-    """The rate, and what was lost before each sample by the packet counter."""
-    lost = None
-    if names[0] == "PacketCounter" and np.isfinite(table[:, 0]).all() and len(table):
-        lost = lost_by_counter(table[:, 0], f"{text.path}: line {at + 2} on: packet counter")
+def _rate(text: TextLines, names: list[str], table: Samples, facts: dict[str, str], asked: Asked) -> float:
     told = re.match(r"([\d.]+)\s*Hz", facts.get("update rate", ""))
     rate = float(told[1]) if told else _by_fine_time(names, table) or asked.rate_hz
     if not rate:
         raise RateMissing(f"{text.path}: it holds neither an update rate nor times; give --rate HZ")
-    return rate, lost
+    return rate
 
 
 def _by_fine_time(names: list[str], table: Samples) -> float:

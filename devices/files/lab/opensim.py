@@ -35,9 +35,14 @@ def read_trc(path: Path, asked: Asked) -> Understood:
         raise text.wrong(at + 3, "the columns must begin with Frame# and Time")
     names = [cell for cell in head[2:] if cell]
     told = int(float(facts["NumMarkers"])) if is_number(facts.get("NumMarkers", "")) else len(names)
-    if told != len(names):
-        raise text.wrong(at + 3, f"{told} markers are announced, {len(names)} are named")
     lines = [i for i in range(at + 5, len(text.lines)) if text.lines[i].strip()]
+    if told != len(names):
+        columns = max((len(text.lines[i].rstrip().split("\t")) for i in lines), default=0)
+        held = max(len(names), -(-(columns - 2) // 3))
+        made.doubt(
+            f"{told} markers are announced, {len(names)} are named, {held} are there; those without a name are numbered"
+        )
+        names += [f"marker{k + 1}" for k in range(len(names), held)]
     data = np.concatenate(
         [text.table(i, "\t", 2 + 3 * len(names), stop=i + 1) for i in lines] or [np.empty((0, 2 + 3 * len(names)))]
     )
