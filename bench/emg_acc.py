@@ -90,7 +90,7 @@ def joined(muscles: Series | None, acceleration: Series | None, weights: tuple[f
     """What the graph's nodes tell of muscles, acceleration or both."""
     streams = {}
     if muscles:
-        streams["emg"] = muscles.through(part("highpass"), part("envelope"))
+        streams["emg"] = muscles.through(part("envelope"))
     if acceleration:
         streams["acc"] = acceleration.through(part("slow"))
     given = dict(zip(BOTH, weights, strict=True))
