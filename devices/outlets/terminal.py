@@ -107,17 +107,27 @@ class LiveView(TerminalView):
 
 
 class LineView(TerminalView):
-    """One line every ten seconds, and one for whatever an outlet has to say; for pipes, log files and screen readers."""
+    """One line every ten seconds and one at the end, and one for whatever an outlet shows; for pipes, log files and screen readers."""
 
     def __init__(self, graph: Graph, file: TextIO | None = None) -> None:
         super().__init__(graph, file)
         self._next = LINE_S
+        self._printed: Metrics = {}
 
     def update(self, metrics: Metrics) -> None:
         super().update(metrics)
         if self.elapsed_s >= self._next:
             self._next = self.elapsed_s + LINE_S
-            self._say(f"{elapsed(self.elapsed_s)}  {metrics_line(metrics)}")
+            self._print_metrics()
+
+    def __exit__(self, *of: object) -> None:
+        super().__exit__(*of)
+        if self.metrics is not self._printed:
+            self._print_metrics()
+
+    def _print_metrics(self) -> None:
+        self._printed = self.metrics
+        self._say(f"{elapsed(self.elapsed_s)}  {metrics_line(self.metrics)}")
 
     def hang_out(self, title: str, notice: RenderableType, line: str) -> None:
         if line:

@@ -37,4 +37,6 @@ def test_shipped_graphs_filter_emg_once_and_alike(path: Path) -> None:
     for node in graph.nodes.values():
         if isinstance(node.part, Envelope):
             assert node.part == usual
-            assert all(isinstance(one.part, Source | Select) for one in before(graph, node)), "raw EMG goes into the envelope"
+            assert all(isinstance(one.part, Source | Select) for one in before(graph, node)), (
+                "raw EMG goes into the envelope"
+            )

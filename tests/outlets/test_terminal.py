@@ -57,6 +57,13 @@ def test_without_a_terminal_there_are_plain_lines() -> None:
     assert "\x1b" not in out.getvalue()
 
 
+def test_a_session_of_less_than_ten_seconds_prints_a_line_too() -> None:
+    out = io.StringIO()
+    with LineView(graph(), out) as view:
+        view.update(METRICS)
+    assert out.getvalue().splitlines()[1:] == [f"0:00  {metrics_line(METRICS)}"]
+
+
 def test_a_session_without_any_sample_yet() -> None:
     assert metrics_line({}) == "nothing comes in; dropped 0, gaps 0"
 

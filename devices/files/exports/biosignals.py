@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from devices.files.exporter import Export, Exporter, Written
-from devices.files.exports.gathered import Gathered, Grid, events_of, gather, on_grids
+from devices.files.exports.gathered import Gathered, GriddedStream, events_of, gather, on_grids
 from stream.chunk import NS, Samples
 from stream.complete import complete, private_folder
 from stream.errors import RecordingError
@@ -95,7 +95,7 @@ def _write(path: Path, signals: Sequence[Gathered], events: list[Gathered], want
     return max(rates)
 
 
-def _record(grids: Sequence[Grid]) -> tuple[float, list[float]]:
+def _record(grids: Sequence[GriddedStream]) -> tuple[float, list[float]]:
     """Seconds to a record, and the rates that come of it: every rate has a whole number of samples in it. Raises RecordingError.
 
     The nominal rates decide about whole seconds, of which the shortest are taken. Where a rate was fitted, a record is a little shorter or
@@ -195,7 +195,7 @@ def _bids(wanted: Export) -> list[Written]:
     return written
 
 
-def _motion(path: Path, grid: Grid, task: str, tracking: str, events: list[Gathered]) -> None:
+def _motion(path: Path, grid: GriddedStream, task: str, tracking: str, events: list[Gathered]) -> None:
     one, rate, start, points = grid.stream, grid.rate_hz, grid.start, grid.data
     flat = points.reshape(len(points), -1)
     rows = [["n/a" if np.isnan(value) else f"{value:.10g}" for value in row] for row in flat]

@@ -41,20 +41,20 @@ class Gathered:
         count = self.spec.shape[self.spec.channel_axis] if self.spec.shape else 0
         return list(self.spec.channels) or [f"channel{i + 1}" for i in range(count)]
 
-    def on_grid(self, share: float) -> Grid | None:
+    def on_grid(self, share: float) -> GriddedStream | None:
         """The samples at `share` times their nominal rate; None where a stamp is more than half a period away from that grid."""
         rate = self.nominal_hz * share
         if share == 1.0 and len(self.time) > 2 and (found := regular(self.time, rate)) is not None:
             index = np.round((found[1] - found[1][0]) * (rate / NS)).astype(np.int64)
-            return Grid(self, rate, int(self.time[0]), self._at(index))
+            return GriddedStream(self, rate, int(self.time[0]), self._at(index))
         index = self.index
         away = (self.time - self.time[0]) - index * (NS / rate)
         middle, off = (away.max() + away.min()) / 2, (away.max() - away.min()) / 2 * rate / NS
         if off > MOST_OFF:
             return None
-        return Grid(self, rate, int(self.time[0]) + round(middle), self._at(index), off)
+        return GriddedStream(self, rate, int(self.time[0]) + round(middle), self._at(index), off)
 
-    def interpolated(self) -> Grid:
+    def interpolated(self) -> GriddedStream:
         """The samples at the nominal rate by cubic splines through their stamps, NaN where some are missing."""
         from scipy.interpolate import CubicSpline
 
@@ -73,7 +73,7 @@ class Gathered:
                 continue
             values = CubicSpline(seconds[fine & distinct], column[fine & distinct])(wanted)
             out[:, c] = np.where(hole[after] | ~fine[after] | ~fine[after - 1], np.nan, values)
-        return Grid(
+        return GriddedStream(
             self, rate, int(self.time[0]), out.reshape(len(wanted), *self.data.shape[1:]), self.off, resampled=True
         )
 
@@ -121,7 +121,7 @@ class Gathered:
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class GriddedStream:
     """A stream at a regular rate: stamp of the first sample, samples (n, ...), NaN where some are missing.
 
     off        by how many periods a stamp is away from this grid, at most; None: by no more than the rounding of stamps
@@ -149,7 +149,7 @@ class Grid:
         say(f"{self.stream.name}: written at {self.rate_hz:.7g} Hz{fitted}; a stamp is at most {far} off it")
 
 
-def on_grids(streams: Sequence[Gathered], *, resample: bool = False) -> list[Grid]:
+def on_grids(streams: Sequence[Gathered], *, resample: bool = False) -> list[GriddedStream]:
     """All streams of a file that has one clock, at their nominal rates, or at the rates that fit the stamps of one of them.
 
     The nominal rates hold if every stamp lies within half a period of its place; a device's true rate differs by some millionths. With

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from devices.files.exporter import Export, Exporter, Written
-from devices.files.exports.gathered import Gathered, Grid, events_of, gather, on_grids, the_one
+from devices.files.exports.gathered import Gathered, GriddedStream, events_of, gather, on_grids, the_one
 from stream.chunk import NS, Samples
 from stream.complete import complete, private_folder
 from stream.errors import RecordingError
@@ -54,14 +54,14 @@ def _c3d(wanted: Export) -> list[Written]:
     return [(one.name, wanted.place, len(one.time)) for one in taken]
 
 
-def _no_points(signals: list[Grid]) -> tuple[float, int, Samples]:
+def _no_points(signals: list[GriddedStream]) -> tuple[float, int, Samples]:
     """Frames for signals alone: as many samples to a frame as it takes to count the frames."""
     finest = max(signals, key=lambda grid: grid.rate_hz)
     per = -(-len(finest.data) // MOST_FRAMES)
     return finest.rate_hz / per, finest.start, np.zeros((-(-len(finest.data) // per), 0, 3))
 
 
-def _analogs(made: object, signals: list[Grid], frame_rate: float, start: int, frames: int) -> None:
+def _analogs(made: object, signals: list[GriddedStream], frame_rate: float, start: int, frames: int) -> None:
     """All signals at the one rate that C3D has, which must be a multiple of the frames'; 0 where nothing was measured."""
     if not signals:
         return
