@@ -7,6 +7,7 @@ import struct
 import time
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from devices.protocols import natnet as protocol
 from devices.protocols import natnet_numbers
 from devices.protocols.natnet import COMMAND_PORT, NatNetError, ServerInfo
 from devices.protocols.natnet_numbers import HEAD
+from stream.axes import Axes
 from stream.chunk import NS, Chunk, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -45,7 +47,7 @@ class NatNet(Source):
     timing      an event per frame: its number, the server's time (middle of the exposure), arrival, stamp
 
     Bodies are named as in Motive, bones as "Skeleton:Bone", markers as "Body:1" (or "Body:Name" from NatNet 4.0), analog channels as
-    "plate 1:Fx" or "device 2:1". The server's axes are kept: y is up, unless Motive streams otherwise. Stamps follow the server's clock,
+    "plate 1:Fx" or "device 2:1". The server's axes are kept; `up` declares which of them points up. Stamps follow the server's clock,
     and missing frames are known from their number. Where the server says so it is heard by multicast, else by unicast.
     """
 
@@ -55,6 +57,7 @@ class NatNet(Source):
     analog: tuple[str, ...] = param((), help='analog channels: "plate 1:Fx", "device 2:1"')
     analog_samples: int = param(1, least=1, most=1000, help="how many samples of them a frame holds")
     rate_hz: float = param(120.0, above=0, most=2000, help="frames per second, as set in Motive")
+    up: Literal["y", "z"] = param("y", help="the axis that points up, as set in Motive (Streaming, Up Axis)")
     local: str = param("0.0.0.0", help="the address of this computer's network card that listens; 0.0.0.0: any")
     port: int = param(COMMAND_PORT, least=1, most=65535, help="the server's command port")
     rate_mismatch: Policy = param("fail", help=POLICY_HELP)
@@ -88,13 +91,14 @@ class NatNet(Source):
             if ":" not in name:
                 raise ParameterError("markers" if name in self.markers else "analog", name, "Body:1, or plate 1:Fx")
         specs: Specs = {"timing": timing_spec()}
-        meta = {"device": "NatNet"}
+        device = {"device": "NatNet"}
+        meta = {**device, "axes": Axes(self.up).facts()}
         if self.bodies:
             specs["bodies"] = StreamSpec(
                 (len(self.bodies), 3), rate_hz=self.rate_hz, channels=self.bodies, units=("m",), meta=meta
             )
             specs["rotations"] = StreamSpec(
-                (len(self.bodies), 4), rate_hz=self.rate_hz, channels=self.bodies, meta=meta
+                (len(self.bodies), 4), rate_hz=self.rate_hz, channels=self.bodies, meta={**meta, "rotation": "wxyz"}
             )
         if self.markers:
             specs["markers"] = StreamSpec(
@@ -102,7 +106,7 @@ class NatNet(Source):
             )
         if self.analog:
             rate = self.rate_hz * self.analog_samples
-            specs["analog"] = StreamSpec((len(self.analog),), rate_hz=rate, channels=self.analog, meta=meta)
+            specs["analog"] = StreamSpec((len(self.analog),), rate_hz=rate, channels=self.analog, meta=device)
         return specs
 
     def prepare(self) -> None:

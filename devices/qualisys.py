@@ -23,6 +23,7 @@ from devices.protocols.qualisys import (
     QualisysNames,
 )
 from devices.transport.transport import TcpTransport
+from stream.axes import Axes, Up
 from stream.chunk import Samples, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError, nearest
 from stream.params import param
@@ -44,8 +45,9 @@ class Qualisys(Source):
     analog      (c,) float64 at `analog_hz`: channels of one analog device, in `analog_unit`
     timing      an event per frame: its number, QTM's time, arrival, stamp
 
-    QTM's axes are kept. Stamps follow QTM's time, missing frames are known from their number; analog samples have running numbers of their
-    own, and come in bursts. Source: Qualisys' protocol documentation 1.20.
+    QTM's axes are kept; `up` declares which of them points up, and is compared with what QTM says. Stamps follow QTM's time, missing
+    frames are known from their number; analog samples have running numbers of their own, and come in bursts. Source: Qualisys' protocol
+    documentation 1.20.
     """
 
     server: str = param("127.0.0.1", help="the computer on which QTM runs")
@@ -58,6 +60,7 @@ class Qualisys(Source):
     analog_hz: float = param(1000.0, above=0, most=1_000_000, help="analog samples per second, as set in QTM")
     analog_unit: str = param("V", help="the unit of the analog channels")
     rate_hz: float = param(100.0, above=0, most=10_000, help="frames per second, as set in QTM")
+    up: Up = param("z", help="the axis that points up, as QTM was calibrated")
     port: int = param(PORT, least=1, most=65535, help="QTM's little-endian port")
     latency_s: float = param(
         0.0, least=0, most=1, help="the constant delay from the exposure to the arrival, if you know it"
@@ -87,18 +90,23 @@ class Qualisys(Source):
             if ":" not in name:
                 raise ParameterError("segments", name, "the skeleton's name and the segment's: Fred:Hips")
         specs: Specs = {"timing": timing_spec()}
-        meta = {"device": "Qualisys"}
-        for output, names, width, unit in (
-            ("markers", self.markers, 3, "m"), ("bodies", self.bodies, 3, "m"), ("rotations", self.bodies, 9, ""),
-            ("segments", self.segments, 3, "m"), ("segment_rotations", self.segments, 4, ""),
+        device = {"device": "Qualisys"}
+        for output, names, width, unit, rotation in (
+            ("markers", self.markers, 3, "m", ""), ("bodies", self.bodies, 3, "m", ""), ("rotations", self.bodies, 9, "", "matrix"),
+            ("segments", self.segments, 3, "m", ""), ("segment_rotations", self.segments, 4, "", "xyzw"),
         ):  # fmt: skip
             if names:
+                meta = {**device, "axes": Axes(self.up).facts(), **({"rotation": rotation} if rotation else {})}
                 specs[output] = StreamSpec(
                     (len(names), width), rate_hz=self.rate_hz, channels=names, units=(unit,), meta=meta
                 )
         if self.analog:
             specs["analog"] = StreamSpec(
-                (len(self.analog),), rate_hz=self.analog_hz, channels=self.analog, units=(self.analog_unit,), meta=meta
+                (len(self.analog),),
+                rate_hz=self.analog_hz,
+                channels=self.analog,
+                units=(self.analog_unit,),
+                meta=device,
             )
         return specs
 
@@ -117,6 +125,8 @@ class Qualisys(Source):
                 raise DeviceError(
                     f"QTM captures at {known.rate_hz:g} Hz, not {self.rate_hz:g}; write rate_hz: {known.rate_hz:g}"
                 )
+            if known.up and known.up != self.up:
+                raise DeviceError(f"in QTM {known.up} points up, not {self.up}; write up: {known.up}")
             feed.identify(
                 "Qualisys QTM", server=self.server, markers=float(len(known.markers)), bodies=float(len(known.bodies))
             )

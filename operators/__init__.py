@@ -100,6 +100,7 @@ if TYPE_CHECKING:
     from operators.steps.classifier import StepClassifier
     from operators.steps.steps import Steps
     from operators.threshold import Threshold
+    from operators.turn_axes import TurnAxes
     from operators.whole_pose.footing import Footing
     from operators.whole_pose.operator import WholePose
 
@@ -204,6 +205,7 @@ __all__ = [
     "SwitchContacts",
     "Threshold",
     "TimingWatch",
+    "TurnAxes",
     "View",
     "Weigh",
     "WholePose",
@@ -311,6 +313,7 @@ __getattr__, __dir__ = offered(
         "Surer": "operators.body.surer",
         "SwitchContacts": "operators.gait.force",
         "Threshold": "operators.threshold",
+        "TurnAxes": "operators.turn_axes",
         "TimingWatch": "operators.gait.timing_watch",
         "View": "operators.depth.view",
         "Weigh": "operators.features.weigh",

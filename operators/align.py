@@ -1,21 +1,29 @@
-"""Joining streams of different rates and devices on time, into one signal."""
+"""Joining streams of different rates and devices on time, into one signal, or one stream of points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 
 from operators.align_lane import METHODS, AlignedInput
 from operators.inputs.channels import names_of
+from operators.inputs.directions import TURN, turned_to
+from operators.inputs.lengths import length_of, metres
+from stream.axes import BODY, CAMERA, Axes, describe_axes
 from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
 from stream.operator import Case, Emitted, Operator, grid
 from stream.params import param
-from stream.require import numeric
+from stream.require import numeric, width_of
+
+Turn: TypeAlias = tuple[tuple[int, int, int], Samples]
+"""By coordinate of the first input: which of an input's it is, and times what."""
+ONE_BODY = ("skeleton", "mesh", "bones", "landmarks")
+"""Facts of one body's points, which are not those of several."""
 
 
 @dataclass(slots=True)
@@ -32,9 +40,17 @@ class AlignState:
     """How many rows of the grid were left out since the last one that was emitted."""
 
 
+class _Joining(Operator[AlignState]):
+    """What does not change while samples come: the shape of a row; of points, what makes each input's those of the first input."""
+
+    __slots__ = ("shape", "turns")
+    shape: tuple[int, ...]
+    turns: dict[str, Turn | None]
+
+
 @dataclass(frozen=True, slots=True)
-class Align(Operator[AlignState]):
-    """The channels of all inputs side by side, at the stamps of the first input, or on a common grid of `rate_hz`.
+class Align(_Joining):
+    """The channels of all inputs side by side, at the stamps of the first input, or on a common grid of `rate_hz`; or all their points.
 
     Between the samples of a stream its value is found by `method`: on a straight line between the samples on both sides (linear), from the
     newest sample at or before (hold), or from the nearest one. Samples further away than `max_distance_s` do not count, for linear on
@@ -46,6 +62,8 @@ class Align(Operator[AlignState]):
     delay    a row waits for each stream's next sample, for `max_distance_s` at most; `hold` waits for nothing
     names    as they are; those that several streams share get the input's name before them, as in "board.x". Streams without names
              are called by their input's name and a number
+    points   markers (points, 3) of several people, say, become one stream of all their points, in the first one's unit and axes; those
+             of an input that declares other axes are turned
 
     No anti-alias filter is in it: a stream that is much faster than the rows should be low-passed first.
     """
@@ -61,25 +79,35 @@ class Align(Operator[AlignState]):
     )
 
     def open(self, specs: Specs) -> Specs:
-        for port, spec in specs.items():
-            numeric(spec, port)
-            if not spec.is_signal:
-                raise InputError(port, spec.describe(), "a signal of channels")
+        leader = next(iter(specs.values()))
+        points = len(leader.shape) == 2 and leader.shape[1] == 3
         lanes: list[AlignedInput] = []
         for port, spec in specs.items():
+            numeric(spec, port)
+            if points != (len(spec.shape) == 2 and spec.shape[1] == 3) or not (points or spec.is_signal):
+                raise InputError(
+                    port,
+                    spec.describe(),
+                    "points (points, 3), as the first input" if points else "a signal of channels",
+                )
             first = lanes[-1].first + lanes[-1].data.shape[1] if lanes else 0
-            lanes.append(AlignedInput.empty(port, first, spec.shape[0], round(self._distance_s(port, spec) * NS)))
+            lanes.append(AlignedInput.empty(port, first, width_of(spec), round(self._distance_s(port, spec) * NS)))
+        turns = {port: like_first(port, spec, leader) for port, spec in specs.items()} if points else {}
+        object.__setattr__(self, "turns", turns)
         waits = [lane.furthest / NS for lane in (lanes if self.rate_hz else lanes[1:])]
         state = AlignState(lanes, until=NEVER, anchor=NEVER, row=0, missing=0)
         self.hold(state, delay_s=0.0 if self.method == "hold" else max(waits, default=0.0))
-        leader = next(iter(specs.values()))
+        width = lanes[-1].first + lanes[-1].data.shape[1]
+        shape = (width // 3, 3) if points else (width,)
+        object.__setattr__(self, "shape", shape)
+        units = tuple(spec.units[i % len(spec.units)] for spec in specs.values() for i in range(spec.shape[0]))
         made = StreamSpec(
-            (lanes[-1].first + lanes[-1].data.shape[1],),
+            shape,
             rate_hz=self.rate_hz or leader.rate_hz,
             channels=joined_names(specs),
-            units=tuple(spec.units[i % len(spec.units)] for spec in specs.values() for i in range(spec.shape[0])),
+            units=leader.units[:1] if points else units,
             settling_s=max(spec.settling_s for spec in specs.values()),
-            meta=leader.meta,
+            meta={key: value for key, value in leader.meta.items() if not points or key not in ONE_BODY},
         )
         return {"out": made}
 
@@ -93,11 +121,20 @@ class Align(Operator[AlignState]):
     def process(self, port: str, chunk: Chunk) -> Emitted:
         state = self.state
         if len(chunk.time):
-            next(lane for lane in state.lanes if lane.port == port).take(chunk)
+            next(lane for lane in state.lanes if lane.port == port).take(self._row(port, chunk))
             if state.anchor == NEVER:
                 state.anchor = int(chunk.time[0])
         state.until = max(state.until, chunk.until)
         return self._on_grid() if self.rate_hz else self._on_stamps()
+
+    def _row(self, port: str, chunk: Chunk) -> Chunk:
+        """The chunk with a sample in a row; points in the first input's axes and unit."""
+        if not self.turns:
+            return chunk
+        turn, data = self.turns[port], chunk.data
+        if turn is not None:
+            data = data[:, :, turn[0]] * turn[1]
+        return Chunk(chunk.time, data.reshape(len(chunk), -1), chunk.until, chunk.lost)
 
     def close(self) -> Emitted:
         self.state.until = FOREVER
@@ -123,7 +160,7 @@ class Align(Operator[AlignState]):
             if m:
                 lane.values(targets, METHODS[self.method], out, near)
             lane.drop_before(following)
-        return _pieces(targets, out, lost, following)
+        return _pieces(targets, out.reshape(m, *self.shape), lost, following)
 
     def _on_grid(self) -> Emitted:
         """Rows of the grid at which some stream has a value; the others are counted as lost."""
@@ -143,7 +180,7 @@ class Align(Operator[AlignState]):
             state.missing = 0
         state.missing += m - (int(rows[-1]) + 1 if len(rows) else 0)
         state.row += m
-        return _pieces(targets[rows], out[rows], steps, self._pass(known))
+        return _pieces(targets[rows], out[rows].reshape(len(rows), *self.shape), steps, self._pass(known))
 
     def _next_rows(self, known: int) -> Times:
         """Stamps of the grid's next rows up to `known`, as far as any sample reaches."""
@@ -191,12 +228,32 @@ class Align(Operator[AlignState]):
             "emg": (emg, grid(200.0, 390) + 2_000_000, rng.normal(size=(390, 2))),
             "plate": (force, times, rng.normal(size=(60, 1))),
         }
+        people: dict[str, Any] = {
+            name: (spec, grid(30.0, 90) + late, rng.normal(size=(90, 2, 3)))
+            for name, spec, late in (
+                (
+                    "ann",
+                    StreamSpec(
+                        (2, 3), rate_hz=30.0, channels=("hip", "knee"), units=("m",), meta={"axes": BODY.facts()}
+                    ),
+                    0,
+                ),
+                (
+                    "bob",
+                    StreamSpec(
+                        (2, 3), rate_hz=30.0, channels=("hip", "knee"), units=("cm",), meta={"axes": CAMERA.facts()}
+                    ),
+                    9_000_000,
+                ),
+            )
+        }
         regular: dict[str, Any] = {port: inputs[port] for port in ("accel", "emg")}
         return [
             Case(cls(max_distance_s=0.05), inputs, least=100),
             Case(cls(rate_hz=120.0, max_distance_s=0.05, method="nearest"), inputs, least=200),
             Case(cls(method="hold"), regular, least=100),
             Case(cls(rate_hz=100.0), regular, least=150),
+            Case(cls(), people, least=80),
         ]
 
 
@@ -205,6 +262,23 @@ def joined_names(specs: Specs) -> tuple[str, ...]:
     names = [(port, name) for port, spec in specs.items() for name in names_of(spec)]
     plain = [name for _, name in names]
     return tuple(name if plain.count(name) == 1 and specs[port].channels else f"{port}.{name}" for port, name in names)
+
+
+def like_first(port: str, spec: StreamSpec, leader: StreamSpec) -> Turn | None:
+    """What makes an input's points those of the first input's axes and unit; None: they are already. Raises InputError."""
+    unit, wanted, axes = length_of(spec, port), length_of(leader), Axes.of(leader)
+    if bool(unit) != bool(wanted):
+        raise InputError(
+            port, spec.describe(), f"points in a unit of length, as those of the first input: {wanted or 'none'}"
+        )
+    order, signs = turned_to(axes, spec)
+    if (Axes.of(spec) is None) != (axes is None):
+        given = describe_axes(spec) or "axes not declared"
+        raise InputError(
+            port, f"points with {given}", f"points like the first input's: {describe_axes(leader)}; {TURN}"
+        )
+    size = metres(unit) / metres(wanted)
+    return None if order == (0, 1, 2) and signs == (1.0, 1.0, 1.0) and size == 1.0 else (order, size * np.array(signs))
 
 
 def _pieces(time: Times, data: Samples, lost: Times, until: int) -> Emitted:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stream.axes import Axes, in_axes
 from stream.chunk import Samples, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.filter import SampleWise
@@ -35,11 +36,14 @@ class ScaleState:
 class Scale(SampleWise[ScaleState]):
     """Every number times `gain` plus `offset`, as float64. No delay; works at any rate, and passes gaps on as they are.
 
-    `gain` and `offset` are one number for all, or one per channel of a signal; `unit` names what comes out, if it changes.
+    `gain` and `offset` are one number for all, or one per channel of a signal, or of points (points, 3) one for each of x, y and z;
+    `unit` names what comes out, if it changes. A negative gain turns an axis over: the axes that come out are declared so.
     """
 
-    gain: float | tuple[float, ...] = param(1.0, help="one number, or one per channel")
-    offset: float | tuple[float, ...] = param(0.0, help="added after the gain; one number, or one per channel")
+    gain: float | tuple[float, ...] = param(
+        1.0, help="one number, or one per channel; of points one for x, y and z each"
+    )
+    offset: float | tuple[float, ...] = param(0.0, help="added after the gain; one number, or as many as gains")
     unit: str | None = param(None, help="the unit of what comes out; left out: unchanged")
 
     kernel = straight_line
@@ -49,17 +53,30 @@ class Scale(SampleWise[ScaleState]):
         for row, parameter in enumerate(("gain", "offset")):
             given = getattr(self, parameter)
             if isinstance(given, Sequence):
-                if not spec.is_signal:
-                    raise InputError("in", spec.describe(), f"a signal, as {parameter} has one number per channel")
-                if len(given) != spec.shape[0]:
-                    raise ParameterError(parameter, given, f"one number, or {spec.shape[0]}: one per channel")
+                given = self._each(parameter, given, spec)
             line[row] = given
         if not np.isfinite(line).all():
             parameter = "gain" if not np.isfinite(line[0]).all() else "offset"
             raise ParameterError(parameter, getattr(self, parameter), "finite")
         return ScaleState(line)
 
+    @staticmethod
+    def _each(parameter: str, given: Sequence[float], spec: StreamSpec) -> Samples:
+        """One number for each of a sample's, from one per channel, or of points one per axis. Raises InputError and ParameterError."""
+        points = _is_points(spec)
+        if not spec.is_signal and not points:
+            raise InputError(
+                "in", spec.describe(), f"a signal or points, as {parameter} has one number per channel or axis"
+            )
+        if len(given) != spec.shape[-1]:
+            which = "one each for x, y and z" if points else "one per channel"
+            raise ParameterError(parameter, given, f"one number, or {spec.shape[-1]}: {which}")
+        return np.tile(np.asarray(given, np.float64), spec.shape[0] if points else 1)
+
     def gives(self, spec: StreamSpec) -> StreamSpec:
+        if _is_points(spec) and (axes := Axes.of(spec)):
+            signs = self.gain if isinstance(self.gain, Sequence) else (self.gain,) * 3
+            spec = spec.derive(meta=in_axes(spec, axes.flipped(tuple(signs))))
         return spec if self.unit is None else spec.derive(units=(self.unit,))
 
     @classmethod
@@ -67,7 +84,16 @@ class Scale(SampleWise[ScaleState]):
         data = np.random.default_rng(3).integers(-2000, 2000, (400, 2)).astype(np.int16)
         spec = StreamSpec((2,), np.dtype(np.int16), 500.0, channels=("left", "right"), units=("counts",))
         case = {"in": (spec, grid(500.0, 400), data)}
+        points = StreamSpec((2, 3), rate_hz=30.0, channels=("hip", "knee"), units=("m",))
+        marks = np.random.default_rng(4).normal(size=(60, 2, 3))
         return [
             Case(cls(gain=0.5, offset=-1.0, unit="uV"), case, least=400),
             Case(cls(gain=(0.5, 2.0)), case, least=400),
+            Case(
+                cls(gain=(1.0, -1.0, -1.0), offset=(0.0, 1.0, 0.0)), {"in": (points, grid(30.0, 60), marks)}, least=60
+            ),
         ]
+
+
+def _is_points(spec: StreamSpec) -> bool:
+    return not spec.is_event and len(spec.shape) == 2 and spec.shape[1] == 3

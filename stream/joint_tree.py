@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from stream.axes import BODY
 from stream.chunk import Samples, StreamSpec, Times
 from stream.errors import InputError
 from stream.kernel import kernel
@@ -62,7 +63,7 @@ class JointTree:
 
     def spec(self, rate_hz: float | None, **changes: Any) -> StreamSpec:
         """The spec of a stream of this skeleton's poses; `meta` among the changes is kept beside the skeleton."""
-        meta = {**changes.pop("meta", {}), "skeleton": self.facts()}
+        meta = {**changes.pop("meta", {}), "skeleton": self.facts(), "axes": BODY.facts()}
         channels = (*ROOT, *(f"{joint}.{axis}" for joint in self.joints for axis in "wxyz"))
         units = ("m", "m", "m", *("" for _ in channels[3:]))
         return StreamSpec((self.width,), rate_hz=rate_hz, channels=channels, units=units, meta=meta, **changes)

@@ -32,6 +32,8 @@ def import_(
     names: argument.ChannelNames = None,
     unit: argument.Unit = None,
     scale: argument.Scale = None,
+    up: argument.PointsUp = None,
+    forward: argument.FacesForward = None,
     meta: argument.StreamFacts = None,
     fact: argument.SessionFacts = None,
     start: argument.Start = "",
@@ -67,6 +69,7 @@ def import_(
         raise RecordingError(f"--out {output}: the recording's name must end in .mcap")
     series = read_files(files, wishes, kinect=kinect)
     _check_names(series)
+    _declare_axes(series, pairs("up", up), pairs("forward", forward))
     if preview or output is None:
         from devices.commands.preview import show
 
@@ -105,6 +108,30 @@ def _write(
         say(f"{one.name}: {len(one.time)} samples, {one.spec.describe()}")
     for doubt in doubts:
         say(f"doubtful: {doubt}", err=True)
+
+
+def _declare_axes(series: Sequence[Series], up: dict[str, str], forward: dict[str, str]) -> None:
+    """Declare the axes of points and meshes, as the options say. Raises RecordingError where files say it themselves."""
+    from stream.axes import Axes, has_places, in_axes
+
+    for name in (*up, *forward):
+        if name and not any(one.name == name and has_places(one.spec) for one in series):
+            raise RecordingError(f"--up {name}=...: there is no stream of points or of a mesh with a unit of that name")
+    for one in series:
+        way = up.get(one.name, up.get("", ""))
+        if not way or not has_places(one.spec) or ("skeleton" in one.spec.meta and one.name not in up):
+            continue
+        if declared := Axes.of(one.spec):
+            raise RecordingError(
+                f"--up {way}: {one.name} declares its axes itself ({declared.describe()}); leave it out"
+            )
+        try:
+            axes = Axes(way, forward.get(one.name, forward.get("", "")))
+        except ValueError as error:
+            raise RecordingError(f"--up {way}: {error}") from None
+        one.spec = one.spec.derive(meta=in_axes(one.spec, axes))
+    if forward and not up:
+        raise RecordingError("--forward: say which axis points up, too, with --up")
 
 
 def _check_names(series: Sequence[Series]) -> None:

@@ -50,6 +50,13 @@ Unit: TypeAlias = Annotated[
     Many, typer.Option(metavar="[NAME=]UNIT", help="unit of the samples, e.g. uV; or one for each channel: a,b,c")
 ]
 Scale: TypeAlias = Annotated[Many, typer.Option(metavar="[NAME=]FACTOR", help="multiply the samples")]
+PointsUp: TypeAlias = Annotated[
+    Many,
+    typer.Option(metavar="[NAME=]AXIS", help="of points and meshes whose files do not say it: the axis that points up"),
+]
+FacesForward: TypeAlias = Annotated[
+    Many, typer.Option(metavar="[NAME=]AXIS", help="with --up: the axis along which bodies face, if it is known")
+]
 StreamFacts: TypeAlias = Annotated[
     Many, typer.Option(metavar="NAME:KEY=VALUE", help="a fact about a stream, e.g. side=right")
 ]

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from devices.files.kinematics import blocks, in_turn, place
 from devices.files.timing import grid_of
+from stream.axes import BODY
 from stream.chunk import Samples, StreamSpec
 from stream.errors import RecordingError, nearest
 from stream.joint_tree import JointTree
@@ -69,7 +70,8 @@ def read_amc(path: Path, skeleton: Skeleton, rate_hz: float = 120.0, start_ns: i
             poses[block, :3] = steps[0] / 100.0
             for k, turn in enumerate(turns):
                 poses[block, 3 + 4 * k : 7 + 4 * k] = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-    spec = StreamSpec(ends.shape[1:], rate_hz=rate_hz, channels=tuple(b.name for b in skeleton.bones), units=("cm",))
+    names_of_bones, placed = tuple(b.name for b in skeleton.bones), {"axes": BODY.facts()}
+    spec = StreamSpec(ends.shape[1:], rate_hz=rate_hz, channels=names_of_bones, units=("cm",), meta=placed)
     angles = StreamSpec(
         (len(names),),
         rate_hz=rate_hz,

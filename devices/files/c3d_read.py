@@ -14,6 +14,7 @@ from devices.files.c3d_facts import note
 from devices.files.c3d_parameters import HEAD, Parameters, read_parameters, reals, text_of, wholes
 from devices.files.findings import Findings
 from devices.files.timing import grid_of
+from stream.axes import WAYS, Axes
 from stream.chunk import NS, Array, StreamSpec
 from stream.errors import RecordingError
 from stream.recording.series import Series
@@ -49,7 +50,8 @@ HEADER_EVENTS = 12345
 def read_c3d(path: Path, start_ns: int = 0, findings: Findings | None = None) -> list[Series]:
     """The streams of a C3D file, as far as it has them, by its name and
 
-    .markers   positions (markers, 3), NaN where a marker was not seen; names without what is before a colon, if they differ all the same
+    .markers   positions (markers, 3), NaN where a marker was not seen; names without what is before a colon, if they differ all the same.
+               What the file calls Y_SCREEN points up
     .analog    the analogue channels, at their own rate
     .right_foot_strike, ...  one stream of events for each context and label, each event with its `onset`; the side is in `meta`
 
@@ -80,7 +82,9 @@ def read_c3d(path: Path, start_ns: int = 0, findings: Findings | None = None) ->
 def _markers(path: Path, parameters: Parameters, data: Array, rate: float, start: int) -> Series:
     names = _distinct(parameters.texts("POINT", "LABELS"), data.shape[1], "marker")
     unit = next(iter(parameters.texts("POINT", "UNITS")), "")
-    spec = StreamSpec(data.shape[1:], rate_hz=rate, channels=names, units=(UNITS.get(unit.lower(), unit),))
+    said = next(iter(parameters.texts("POINT", "Y_SCREEN")), "").strip().lower().lstrip("+")
+    meta = {"axes": Axes(said).facts()} if said in WAYS else {}
+    spec = StreamSpec(data.shape[1:], rate_hz=rate, channels=names, units=(UNITS.get(unit.lower(), unit),), meta=meta)
     return Series(f"{path.stem}.markers", spec, grid_of(rate, np.arange(len(data)), start), data)
 
 

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from devices.files.timing import UNITS, check_order, grid_of, to_ns, unit_in
+from stream.axes import FACED
 from stream.chunk import NS, Array, StreamSpec, Times
 from stream.errors import RecordingError
 from stream.recording.series import Series
@@ -44,7 +45,7 @@ def read_kinect(
 
     With a header, columns are known by name: `WristLeft_x` or `wrist_l.x`, and so on; `..._state` (or tracked, confidence) of 0 means not
     seen; the time is called time, t or timestamp. Without one, a line is the time (or nothing), then 20 or 25 joints in the Kinect's own
-    order, with three or four numbers each, the fourth being that state. A joint at exactly 0, 0, 0 was not seen either. Where the times do
+    order, with three or four numbers each, the fourth being that state, in its axes. A joint at exactly 0, 0, 0 was not seen either. Where the times do
     not say their unit, it is the one in which 4 to 70 frames make a second. With `rate_hz`, the number of a frame takes the place of
     the time, and `rate_hz` numbers make a second: the first frame is at time 0, and numbers left out are lost frames (where all steps are
     multiples of two, every second number). Raises RecordingError with file and line.
@@ -56,7 +57,8 @@ def read_kinect(
     data = data * scale
     data[~np.isfinite(data).all(axis=2) | (data == 0.0).all(axis=2)] = np.nan
     check_order(time, f"{path}: line", row, repeated=False)
-    spec = StreamSpec(data.shape[1:], channels=names, units=(unit or "m",))
+    meta = {"axes": FACED.facts()} if rows is not None else {}
+    spec = StreamSpec(data.shape[1:], channels=names, units=(unit or "m",), meta=meta)
     return [Series(path.stem, spec, time + start_ns, np.ascontiguousarray(data), lost)]
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from devices.files.exporter import Export, Exporter, Written
+from stream.axes import BODY, Axes
 from stream.chunk import NS, Array, Samples, StreamSpec, Times
 from stream.complete import complete, private_folder
 from stream.errors import InputError, RecordingError
@@ -94,7 +95,8 @@ def _glb(wanted: Export) -> list[Written]:
     with complete(wanted.place) as draft:
         if "mesh" in stream.spec.meta:
             mesh = Topology.of(stream.spec)
-            write_mesh(draft, mesh.faces, seconds, data.astype(np.float64), mesh.name or name)
+            columns, signs = (Axes.of(stream.spec) or BODY).to(BODY)
+            write_mesh(draft, mesh.faces, seconds, data[..., columns].astype(np.float64) * signs, mesh.name or name)
         else:
             write_skeleton(draft, JointTree.of(stream.spec), seconds, data, name)
     return [(name, wanted.place, len(times))]

@@ -11,6 +11,7 @@ import numpy as np
 from devices.files.gltf_read import animated, read_gltf
 from devices.files.moving_mesh import RATE_HZ, MovingMesh
 from devices.files.timing import grid_of
+from stream.axes import BODY
 from stream.bounded import reading
 from stream.chunk import Array, Samples
 from stream.errors import RecordingError
@@ -56,9 +57,8 @@ def read_obj(
         frames.append(vertices * scale)
         faces = mine
     if frames:
-        made.append(
-            _series(first.stem, Topology(len(frames[0]), faces, first.stem), rate_hz, np.array(frames), start_ns)
-        )
+        mesh, gltf = Topology(len(frames[0]), faces, first.stem), all(file.suffix.lower() in GLTF for file in files)
+        made.append(_series(first.stem, mesh, rate_hz, np.array(frames), start_ns, gltf=gltf))
     return made
 
 
@@ -84,13 +84,15 @@ def _animated(path: Path, mesh: MovingMesh, rate_hz: float | None, scale: float,
     for name, rate, frames in animated(mesh, path, rate_hz):
         stem = path.stem if len(mesh.animations) == 1 else f"{path.stem}.{re.sub('[^A-Za-z0-9_-]+', '_', name)}"
         taken = sum(one.name == stem for one in made)
-        made.append(_series(f"{stem}_{len(made)}" if taken else stem, topology, rate, frames * scale, start_ns))
+        name = f"{stem}_{len(made)}" if taken else stem
+        made.append(_series(name, topology, rate, frames * scale, start_ns, gltf=True))
     return made
 
 
-def _series(name: str, mesh: Topology, rate_hz: float | None, frames: Samples, start_ns: int) -> Series:
-    rate = rate_hz or RATE_HZ
-    return Series(name, mesh.spec(rate), grid_of(rate, np.arange(len(frames)), start_ns), frames)
+def _series(name: str, mesh: Topology, rate_hz: float | None, frames: Samples, start_ns: int, *, gltf: bool) -> Series:
+    """A stream of a mesh; only glTF says which way its axes point."""
+    rate, meta = rate_hz or RATE_HZ, {"axes": BODY.facts()} if gltf else {}
+    return Series(name, mesh.spec(rate, meta=meta), grid_of(rate, np.arange(len(frames)), start_ns), frames)
 
 
 def _mesh(path: Path) -> tuple[Samples, Array]:

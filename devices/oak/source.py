@@ -20,6 +20,7 @@ from devices.oak.keypoint_sets import MARKERS
 from devices.oak.keypoints import Keypoints, sight_of
 from devices.oak.library import library, zero_ns
 from devices.oak.network import apart_s
+from stream.axes import CAMERA
 from stream.chunk import NS, Specs, StreamSpec
 from stream.errors import DeviceError, ParameterError
 from stream.params import param
@@ -140,7 +141,7 @@ class Oak(Source):
             facts = {"device": "OAK", "camera": camera, "light": light}
             specs[self.image] = StreamSpec(shape, np.dtype(np.uint8), rate_hz=self.fps, meta=facts)
         if self.network:
-            of_points = {"device": "OAK", "axes": "camera", "camera": camera}
+            of_points = {"device": "OAK", "axes": CAMERA.facts(), "camera": camera}
             specs["markers"] = StreamSpec(
                 (len(MARKERS), 3), rate_hz=self.fps, channels=MARKERS, units=("m",), meta=of_points
             )

@@ -62,13 +62,15 @@ class AnalogDevice:
 
 @dataclass(slots=True)
 class QualisysNames:
-    """What QTM has, in the order of the data. rate_hz: frames per second, 0: not said; segments: of each skeleton, name to number."""
+    """What QTM has, in the order of the data. rate_hz: frames per second, 0: not said; segments: of each skeleton, name to number;
+    up: the axis that points up, "" if not said."""
 
     rate_hz: float
     markers: list[str]
     bodies: list[str]
     skeletons: dict[str, dict[str, int]]
     analog: list[AnalogDevice]
+    up: str = ""
 
 
 class QualisysDecoder:
@@ -193,6 +195,7 @@ def names(xml: str) -> QualisysNames:
             for one in root.findall("./Skeletons/Skeleton")
         },
         [_analog_device(one) for one in root.findall("./Analog/Device")],
+        (root.findtext("./The_3D/AxisUpwards") or "").strip().lower().lstrip("+"),
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from devices.cameras.intrinsics import lens
 from devices.simulators.paced import PacedSource
 from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
+from stream.axes import CAMERA
 from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
 from stream.params import param
 from stream.source import Feed
@@ -44,7 +45,9 @@ class BeforeCamera(PacedSource):
         return {
             "depth": StreamSpec(shape, np.dtype(np.uint16), rate_hz=self.fps, units=("mm",), meta=meta),
             "mono": StreamSpec(shape, np.dtype(np.uint8), rate_hz=self.fps, meta=meta),
-            "joints": StreamSpec((len(POINTS), 3), rate_hz=self.fps, channels=POINTS, units=("m",), meta=meta),
+            "joints": StreamSpec(
+                (len(POINTS), 3), rate_hz=self.fps, channels=POINTS, units=("m",), meta=meta | {"axes": CAMERA.facts()}
+            ),
         }
 
     def prepare(self) -> None:

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from devices.simulators.paced import PacedSource
+from stream.axes import FACED
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.errors import ParameterError
 from stream.params import param
@@ -29,7 +30,7 @@ TAKES_S = {"arms": 1.8, "squat": 2.2, "knees": 1.6, "wave": 1.2}
 class Exerciser(PacedSource):
     """Someone faces a camera and does exercises in turn, each some times, and stands for a moment before each.
 
-    joints  (20, 3) float64, m, in the camera's view: x to its right, y up, z away from it; irregular, some 30 Hz, as a Kinect's
+    joints  (20, 3) float64, m: x to the person's right, y up, z away from the camera; irregular, some 30 Hz, as a Kinect's
 
     A joint can be out of sight for a while: its coordinates are NaN then.
     Frame i is the same whenever it is made. `Routine` knows what is done when.
@@ -59,7 +60,8 @@ class Exerciser(PacedSource):
             raise ParameterError("lost_joint", self.lost_joint, f"one of {', '.join(JOINTS)}")
         if self.lost_s[0] > self.lost_s[1]:
             raise ParameterError("lost_s", list(self.lost_s), "two times in seconds, not falling")
-        return {"joints": StreamSpec((20, 3), channels=JOINTS, units=("m",), meta={"simulated": True})}
+        made = {"simulated": True, "axes": FACED.facts()}
+        return {"joints": StreamSpec((20, 3), channels=JOINTS, units=("m",), meta=made)}
 
     def read(self, feed: Feed) -> None:
         routine, begun = Routine(self), feed.now()

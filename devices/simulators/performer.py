@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from devices.simulators.paced import FrameSource
+from stream.axes import BODY
 from stream.chunk import Chunk, Samples, Specs, StreamSpec
 from stream.humanoid import BONES, usual_body
 from stream.joint_tree import joints_of
@@ -49,7 +50,7 @@ class Performer(FrameSource):
     seed: int = param(0, least=0, help="another seed, other noise")
 
     def specs(self) -> Specs:
-        made = {"simulated": True}
+        made = {"simulated": True, "axes": BODY.facts()}
         markers = StreamSpec((len(MARKERS), 3), rate_hz=self.rate_hz, channels=MARKERS, units=("m",), meta=made)
         return {"markers": markers, "pose": usual_body().spec(self.rate_hz, meta=made)}
 

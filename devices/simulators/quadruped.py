@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from devices.simulators.paced import FrameSource
+from stream.axes import BODY
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
 from stream.mesh import Topology
 from stream.params import param
@@ -83,7 +84,7 @@ class Quadruped(FrameSource):
     stride_s: float = param(1.2, above=0.2, help="how long a stride takes")
 
     def specs(self) -> Specs:
-        made = {"simulated": True}
+        made = {"simulated": True, "axes": BODY.facts()}
         names = tuple(marked())
         markers = StreamSpec((len(names), 3), rate_hz=self.rate_hz, channels=names, units=("m",), meta=made)
         return {"mesh": topology().spec(self.rate_hz, meta=made), "markers": markers}
@@ -110,7 +111,8 @@ class TwoActors(FrameSource):
     seed: int = param(0, least=0, help="another seed, other noise")
 
     def specs(self) -> Specs:
-        spec = StreamSpec((6, 3), rate_hz=self.rate_hz, channels=ACTOR_PARTS, units=("m",), meta={"simulated": True})
+        made = {"simulated": True, "axes": BODY.facts()}
+        spec = StreamSpec((6, 3), rate_hz=self.rate_hz, channels=ACTOR_PARTS, units=("m",), meta=made)
         return {"out": spec}
 
     def read(self, feed: Feed) -> None:

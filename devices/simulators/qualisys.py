@@ -75,7 +75,8 @@ class QualisysServer(ClosedAtEnd):
         device = f"<Device_ID>1</Device_ID><Device_Name>EMG</Device_Name><Frequency>{self._analog_hz:g}</Frequency>"
         more = f"<Skeletons>{solved}</Skeletons><Analog><Device>{device}{channels}</Device></Analog>"
         rate = f"<General><Frequency>{self._rate:g}</Frequency></General>"
-        return f"<QTM_Parameters_Ver_1.25>{rate}<The_3D>{labels}</The_3D><The_6D>{bodies}</The_6D>{more}</QTM_Parameters_Ver_1.25>"
+        places = f"<The_3D><AxisUpwards>+Z</AxisUpwards>{labels}</The_3D>"
+        return f"<QTM_Parameters_Ver_1.25>{rate}{places}<The_6D>{bodies}</The_6D>{more}</QTM_Parameters_Ver_1.25>"
 
     def _work(self) -> None:
         while not self._stop.is_set():

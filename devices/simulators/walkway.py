@@ -10,6 +10,7 @@ import numpy as np
 
 from devices.simulators.paced import PacedSource
 from devices.simulators.treadmill.signal import Indices, Signal, Walker
+from stream.axes import Axes
 from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from stream.params import param
 from stream.source import Feed
@@ -46,9 +47,10 @@ class Walkway(PacedSource):
 
     def specs(self) -> Specs:
         made = {"simulated": True}
+        placed = {**made, "axes": Axes("z", "y").facts()}
         return {
             "emg": StreamSpec((4,), rate_hz=EMG_HZ, channels=MUSCLES, units=("mV",), meta=made),
-            "markers": StreamSpec((8, 3), rate_hz=MARKERS_HZ, channels=MARKERS, units=("mm",), meta=made),
+            "markers": StreamSpec((8, 3), rate_hz=MARKERS_HZ, channels=MARKERS, units=("mm",), meta=placed),
         }
 
     def read(self, feed: Feed) -> None:

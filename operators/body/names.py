@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from stream.axes import CAMERA
 from stream.chunk import StreamSpec
 
 LANDMARKS = (
@@ -51,7 +52,7 @@ def camera_of(spec: StreamSpec) -> tuple[float, float, float, float] | None:
 
 def markers_specs(spec: StreamSpec) -> dict[str, StreamSpec]:
     """Made of `spec`: the specs of `markers` (20, 3) in metres, x right, y down, z away from the camera, and of their confidence (20,)."""
-    meta = {key: value for key, value in spec.meta.items() if key in ("camera", "device")} | {"axes": "camera"}
+    meta = {key: value for key, value in spec.meta.items() if key in ("camera", "device")} | {"axes": CAMERA.facts()}
     facts: dict[str, Any] = {"rate_hz": spec.rate_hz, "settling_s": spec.settling_s, "channels": MARKERS, "meta": meta}
     return {
         "out": StreamSpec((len(MARKERS), 3), units=("m",), **facts),

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from operators.features.pose import FLAT, middle, point_names
+from operators.inputs.directions import HELP, right_handed_up
 from operators.inputs.marker_columns import marker_columns
+from stream.axes import WAYS, Axes, Up, in_axes
 from stream.chunk import Samples, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.filter import SampleWise
@@ -81,7 +82,7 @@ class NormalisedPose(SampleWise[NormalisedPoseState]):
     origin: str = param(help="the marker that positions are relative to")
     ahead: str = param(help="the marker that is turned into the x-y plane, at positive x")
     markers: Mapping[str, tuple[str, ...]] | None = param(None, help="marker: [marker of the input, ...]; their mean")
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] = param("y", help="the input's axis that points up")
+    up: Up | None = param(None, help=f"{HELP} y")
 
     kernel = normalise_pose
 
@@ -104,11 +105,12 @@ class NormalisedPose(SampleWise[NormalisedPoseState]):
             if marker not in absent:
                 columns += [marker_columns(spec, name, "markers") for name in table[marker]]
             parts.append((first, len(columns)))
+        up = right_handed_up(spec, self.up, "y", WAYS)
         return NormalisedPoseState(
             columns=np.array(columns, np.int64),
             parts=np.array(parts, np.int64),
-            vertical="xyz".index(self.up[-1]),
-            sign=-1.0 if self.up[0] == "-" else 1.0,
+            vertical="xyz".index(up[-1]),
+            sign=-1.0 if up[0] == "-" else 1.0,
             heading=np.full(2, np.nan),
             work=np.zeros((3, 3)),
         )
@@ -120,7 +122,7 @@ class NormalisedPose(SampleWise[NormalisedPoseState]):
             shape=(3 * len(table),),
             channels=tuple(f"{marker}.{axis}" for marker in table for axis in "xyz"),
             channel_axis=0,
-            meta={**spec.meta, "missing": [f"{marker}.{axis}" for marker in absent for axis in "xyz"]},
+            meta={**in_axes(spec, Axes("y")), "missing": [f"{marker}.{axis}" for marker in absent for axis in "xyz"]},
         )
 
     def _table(self, spec: StreamSpec) -> dict[str, tuple[str, ...]]:

@@ -10,8 +10,10 @@ from typing import Literal
 import numpy as np
 
 from operators.features.skeleton import SETS, find_joints, pairs
+from operators.inputs.directions import HELP, right_handed_up
 from operators.inputs.lengths import CM, length_of
 from operators.inputs.marker_columns import marker_columns
+from stream.axes import BODY, WAYS, Axes, Up, in_axes
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError
 from stream.kernel import kernel
@@ -107,15 +109,22 @@ class PoseState:
     learn: int
 
 
+class _Seen(Operator[PoseState]):
+    """What does not change while samples come: the axis that points up."""
+
+    __slots__ = ("upward",)
+    upward: str
+
+
 @dataclass(frozen=True, slots=True)
-class Pose(Operator[PoseState]):
+class Pose(_Seen):
     """Joints or markers (points, 3) in; out comes the pose: some points as seen from the body, x to its left, y up, z to its front, in cm.
 
     points   e15: ankles, head and wrists, 15 numbers, which the thesis's radii belong to; e30: also knees, elbows and neck; all
     joints   which points of the input make up a joint (their middle), where its names do not tell. Joints are root, neck, head, and ankle,
              knee, hip, wrist, elbow, shoulder with _l or _r. Names of the CMU and HDM05 recordings, of Plug-in Gait markers, of
              Kinect and of usual BVH files are known
-    up       the input's axis that points up
+    up       the input's axis that points up; left out: as the input declares, else y
     root     taken as the origin: the middle of the hips
     heading  turned away: from right to left hip is x. While the hips stand nearly above one another the last heading holds
     body_cm  scales every body so that thigh and shank together have this length; taken from the mean of the first `learn_s` of frames, and
@@ -128,7 +137,7 @@ class Pose(Operator[PoseState]):
     takes = "rows"
     points: Literal["e15", "e30", "all"] = param("e15", help="which points come out")
     joints: Mapping[str, tuple[str, ...]] | None = param(None, help="joint: [point, ...], where names do not tell")
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] = param("y", help="the input's axis that points up")
+    up: Up | None = param(None, help=f"{HELP} y")
     root: bool = param(True, help="positions from the root; false: as they are")
     heading: bool = param(True, help="turned to the front; false: as it is")
     body_cm: float = param(0.0, least=0.0, help="length of thigh and shank that bodies are scaled to; 0: as they are")
@@ -137,6 +146,7 @@ class Pose(Operator[PoseState]):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         unit = length_of(spec)
+        up = right_handed_up(spec, self.up, "y", WAYS)
         names = point_names(spec)
         body = tuple(f"{joint}_{side}" for joint in ("hip", "knee", "ankle") for side in "lr") if self.body_cm else ()
         shown = SETS.get(self.points, ())
@@ -155,13 +165,14 @@ class Pose(Operator[PoseState]):
             columns=np.array(columns, np.int64),
             parts=np.stack([ends - [len(found[joint]) for joint in order], ends], 1).astype(np.int64),
             chains=np.array(bones, np.int64).reshape(-1, 2),
-            memory=np.array([0.0, 0.0, 0.0, 1.0] if self.up[-1] == "y" else [0.0, 0.0, 1.0, 0.0]),
+            memory=np.array([0.0, 0.0, 0.0, 1.0] if up[-1] == "y" else [0.0, 0.0, 1.0, 0.0]),
             work=np.zeros((len(order), 3)),
             width=int(np.prod(spec.shape)),
             cm=CM[unit],
             learn=max(1, round(self.learn_s * (spec.rate_hz or 30.0))),
         )
         self.hold(state)
+        object.__setattr__(self, "upward", up)
         mirror = [[f"{a}.{axis}", f"{b}.{axis}"] for a, b in pairs(shown) for axis in "xyz"]
         facts = {
             "pose": {"points": self.points, "joints": {joint: list(found[joint]) for joint in dict.fromkeys(order)}},
@@ -174,7 +185,7 @@ class Pose(Operator[PoseState]):
                 channels=tuple(f"{name}.{axis}" for name in shown for axis in "xyz"),
                 units=("cm" if unit else "",),
                 settling_s=spec.settling_s + (self.learn_s if self.body_cm else 0.0),
-                meta={**spec.meta, **facts},
+                meta={**in_axes(spec, BODY if self.heading else Axes("y")), **facts},
             )
         }
 
@@ -182,7 +193,7 @@ class Pose(Operator[PoseState]):
         s = self.state
         out = np.empty((len(chunk.time), 3 * (len(s.parts) - 3 - (6 if len(s.chains) else 0))))
         if len(chunk.time):
-            up, sign = "xyz".index(self.up[-1]), -1.0 if self.up[0] == "-" else 1.0
+            up, sign = "xyz".index(self.upward[-1]), -1.0 if self.upward[0] == "-" else 1.0
             x = chunk.data * s.cm
             seen_from_body(
                 x,

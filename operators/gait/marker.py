@@ -13,6 +13,7 @@ from operators.gait.contacts import Contacts, Followed
 from operators.gait.legs import LEGS, LONGEST_NS
 from operators.gait.path import MEMORY_S, WALK, follow
 from operators.iir import butterworth, group_delay, settling, steady_memory
+from operators.inputs.directions import HELP, right_handed_up
 from operators.inputs.marker_columns import METRES, marker_columns, marker_metres
 from stream.chunk import NEVER, NS, Array, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -65,7 +66,7 @@ class MarkerContacts(Contacts[MarkerState]):
 
     marker: str = param(help="the marker on the foot or leg: its name, or its number from 0")
     reference: str = param("", help="a marker on hip or sacrum; empty: the foot's own mean motion is used")
-    up: Literal["x", "y", "z"] = param("z", help="the vertical coordinate")
+    up: Literal["x", "y", "z"] | None = param(None, help=f"{HELP} z")
     unit: Literal["", "m", "cm", "mm"] = param("", help="unit of the positions; empty: the input's")
     cutoff_hz: float = param(10.0, above=0.0, help="low-pass of the positions")
     fill_gap_s: float = param(
@@ -84,7 +85,7 @@ class MarkerContacts(Contacts[MarkerState]):
             raise ParameterError("cutoff_hz", self.cutoff_hz, limit)
         sos = butterworth(ORDER, self.cutoff_hz, "lowpass", spec.rate_hz)
         delay_s = group_delay(sos, 0.0) / spec.rate_hz
-        vertical = "xyz".index(self.up)
+        vertical = "xyz".index(right_handed_up(spec, self.up, "z", ("x", "y", "z")))
         order = [(vertical + 1) % 3, (vertical + 2) % 3, vertical]
         fill_ns = round(self.fill_gap_s * NS)
         state = MarkerState(

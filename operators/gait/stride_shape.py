@@ -11,6 +11,7 @@ from operators.gait.limb_contacts import LIMB_CONTACT
 from operators.gait.limbs import LIMB, check_named
 from operators.gait.marker import walker
 from operators.gait.recent_samples import RecentSamples
+from operators.inputs.directions import HELP, right_handed_up
 from operators.inputs.marker_columns import marker_columns, marker_metres
 from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError
@@ -82,7 +83,7 @@ class StrideShape(Operator[StrideState]):
     delays: ClassVar[str] = "`late_s`"
 
     limbs: dict[str, str] = param(help="per limb, the marker on its foot: its name, or its number from 0")
-    up: Literal["x", "y", "z"] = param("z", help="the vertical coordinate")
+    up: Literal["x", "y", "z"] | None = param(None, help=f"{HELP} z")
     unit: Literal["", "m", "cm", "mm"] = param("", help="unit of the positions; empty: the input's")
     belt: bool = param(False, help="whether the ground moves with the standing foot: a treadmill")
     late_s: float = param(0.6, least=0.1, most=5.0, help="how long after it happened a contact may be reported")
@@ -101,7 +102,7 @@ class StrideShape(Operator[StrideState]):
             )
         if spec.rate_hz is None:
             raise InputError("in", spec.describe(), "regular: its rate must be known")
-        vertical = "xyz".index(self.up)
+        vertical = "xyz".index(right_handed_up(spec, self.up, "z", ("x", "y", "z")))
         feet = [marker_columns(spec, marker, "limbs") for marker in self.limbs.values()]
         columns = [foot[(vertical + k) % 3] for foot in feet for k in (1, 2, 3)]
         n = len(feet)

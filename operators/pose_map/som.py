@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from operators.inputs.channels import names_of
+from operators.inputs.lengths import CM, metres
 from operators.pose_map.som_kernel import learn_pose, nearest_cells, next_random, place_between, touch
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, nearest
@@ -164,7 +165,7 @@ class PoseGrid(Operator[PoseGridState]):
 
     It learns from a random sample of all poses so far (`reservoir` of them), `steps` a frame. Every `learn_s` the new map takes the place
     of the one shown, which does not change in between. Each begins as the one before it, so that cells hardly move. After `maps` of them
-    nothing changes any more. With `model` the map is that of `kinegraph train map`, and nothing is learned.
+    nothing changes any more. With `model` the map is that of `kinegraph train map`, in the input's unit of length, and nothing is learned.
 
     Time is counted in whole poses: none is learned in a gap. Channels in the input's `meta["missing"]` are left out. No delay.
 
@@ -225,11 +226,16 @@ class PoseGrid(Operator[PoseGridState]):
         if absent:
             hint = nearest(absent[0], names)
             raise InputError("in", spec.describe(), f"the channels of {self.model}, {absent[0]} among them; {hint}")
+        size = 1.0
         if spec.units[0] != index.unit:
-            raise InputError("in", spec.describe(), f"{index.unit}, as {self.model} was trained on")
+            if spec.units[0] not in CM or index.unit not in CM or not (spec.units[0] and index.unit):
+                raise InputError(
+                    "in", spec.describe(), f"{index.unit}, as {self.model} was trained on, or another unit of length"
+                )
+            size = metres(index.unit) / metres(spec.units[0])
         used = np.array([names.index(name) for name in index.channels], np.int64)
-        s = _state(used, index.columns, index.codes, 4, len(index.errors), 1, 2, self.seed)
-        s.errors[:] = index.errors
+        s = _state(used, index.columns, index.codes * size, 4, len(index.errors), 1, 2, self.seed)
+        s.errors[:] = index.errors * size
         s.counts[SHOWN] = 1
         return s
 

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from operators.inputs.directions import turned_to
 from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns
 from operators.steering.operator import QUADRUPED
 from operators.steering.stored import KIND, MAKER, from_model
+from stream.axes import Axes, in_axes
 from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError, nearest
 from stream.kernel import kernel
@@ -28,7 +30,7 @@ MOST = 2.5
 def match_ranges(
     rows: Samples,
     columns: Times,
-    scale: float,
+    scale: Samples,
     wanted: float,
     usual: Samples,
     spread: Samples,
@@ -38,7 +40,8 @@ def match_ranges(
 ) -> None:
     """Markers of actors, `rows` (n, width), as those of a model, into `out` (n, m, 3).
 
-    columns  (k, 7)  the model's marker, the columns of the actor's marker, and of the one that it is seen from
+    columns  (k, 7)  the model's marker, the columns of the actor's marker, and of the one that it is seen from, along the model's axes
+    scale    (3,)    what turns them into the model's coordinates
     sums     (k, 7)  how many samples an actor's range was learned from (at most `wanted`), their sums and those of their squares
     held     (m, 3)  the newest of each
     """
@@ -54,7 +57,7 @@ def match_ranges(
             learns = s[0] < wanted
             s[0] += 1.0 if learns else 0.0
             for a in range(3):
-                v = scale * (rows[i, c[1 + a]] - rows[i, c[4 + a]])
+                v = scale[a] * (rows[i, c[1 + a]] - rows[i, c[4 + a]])
                 if learns:
                     s[1 + a] += v
                     s[4 + a] += v * v
@@ -77,7 +80,7 @@ class _Cast(Operator[ActorsState]):
 
     __slots__ = ("columns", "scale", "spread", "usual", "wanted")
     columns: Times
-    scale: float
+    scale: Samples
     wanted: float
     usual: Samples
     spread: Samples
@@ -90,7 +93,10 @@ class Actors(_Cast):
     `limbs` says which marker of the model an actor's marker moves, and what that is seen from: {hoof_fl: [first.foot_l, first.hip]}. In the
     first `learn_s` an actor's marker is seen its range is learned, mean and standard deviation of each axis; from then on it is mapped to
     the range in which the model's marker moved in the training. What is not seen stays: an actor who leaves freezes only his own limbs.
-    Markers of the model that nobody moves stay at their mean. Axes are those of the mesh. No delay.
+    Markers of the model that nobody moves stay at their mean. No delay.
+
+    An input that declares its axes is turned to those of the model: up stays up, and who walks forward moves the mesh's limbs forward. One
+    that declares none, or a model that was trained on such, is taken as it is: operators.turn_axes.TurnAxes declares and turns axes.
     """
 
     takes = "finite"
@@ -104,24 +110,27 @@ class Actors(_Cast):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         unit = length_of(spec)
-        learned, _ = from_model(read_model(self.model or QUADRUPED, KIND, MAKER))
+        model = read_model(self.model or QUADRUPED, KIND, MAKER)
+        learned, _ = from_model(model)
+        axes = Axes.from_facts(model.header.get("axes"))
+        order, signs = turned_to(axes, spec)
         rows = []
         for name, (actor, seen_from) in self.limbs.items():
             if name not in learned.markers:
                 raise ParameterError("limbs", name, f"a marker of the model; {nearest(name, learned.markers)}")
-            places = (*marker_columns(spec, actor, "limbs"), *marker_columns(spec, seen_from, "limbs"))
+            places = [marker_columns(spec, one, "limbs")[a] for one in (actor, seen_from) for a in order]
             rows.append((learned.markers.index(name), *places))
         if not rows:
             raise ParameterError("limbs", dict(self.limbs), "a mapping of at least one marker of the model")
         object.__setattr__(self, "columns", np.array(rows, np.int64))
-        object.__setattr__(self, "scale", metres(unit))
+        object.__setattr__(self, "scale", metres(unit) * np.array(signs))
         object.__setattr__(self, "wanted", max(2.0, self.learn_s * (spec.rate_hz or 30.0)))
         object.__setattr__(self, "usual", learned.usual)
         object.__setattr__(self, "spread", learned.spread)
         self.hold(ActorsState(np.zeros((len(rows), 7)), learned.usual.copy()))
         settling_s = spec.settling_s + self.learn_s
         names, m = learned.markers, len(learned.markers)
-        meta = {key: value for key, value in spec.meta.items() if key != "skeleton"}
+        meta = {key: value for key, value in in_axes(spec, axes).items() if key != "skeleton"}
         out = StreamSpec((m, 3), rate_hz=spec.rate_hz, channels=names, units=("m",), settling_s=settling_s, meta=meta)
         return {"out": out}
 

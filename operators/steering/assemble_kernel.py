@@ -12,7 +12,7 @@ from stream.kernel import kernel
 def gather_marks(
     row: Samples,
     columns: Times,
-    scale: float,
+    scale: Samples,
     reference: Times,
     facing: Samples,
     known: Array,
@@ -35,11 +35,11 @@ def gather_marks(
         if v == v:
             n += 1
             for a in range(3):
-                centre[a] += scale * row[c[a]]
+                centre[a] += scale[a] * row[c[a]]
     for a in range(3):
         centre[a] = centre[a] / n if n == reference.shape[0] else before[a]
     if facing.shape[0] == 4:
-        face(row, columns[int(facing[0])], columns[int(facing[1])], facing[2], facing[3], heading)
+        face(row, columns[int(facing[0])], columns[int(facing[1])], scale, facing[2], facing[3], heading)
     whole = True
     for k in range(columns.shape[0]):
         c = columns[k]
@@ -47,7 +47,7 @@ def gather_marks(
         if v == v:
             known[k] = True
             for a in range(3):
-                marks[k, a] = scale * row[c[a]] - centre[a]
+                marks[k, a] = scale[a] * row[c[a]] - centre[a]
             if facing.shape[0] == 4:
                 p, q = marks[k, 0], marks[k, 2]
                 marks[k, 0] = heading[0] * p - heading[1] * q
@@ -59,12 +59,15 @@ def gather_marks(
 
 
 @kernel
-def face(row: Samples, start: Times, end: Times, ahead_x: float, ahead_z: float, heading: Samples) -> None:
+def face(
+    row: Samples, start: Times, end: Times, scale: Samples, ahead_x: float, ahead_z: float, heading: Samples
+) -> None:
     """How far the markers from `start` to `end` (columns of `row`) are turned from a direction: cosine and sine into `heading` (2,).
 
     It stays where they are not seen, or stand one above the other.
     """
-    a, b = row[end[0]] - row[start[0]], row[end[2]] - row[start[2]]
+    a = math.copysign(1.0, scale[0]) * (row[end[0]] - row[start[0]])
+    b = math.copysign(1.0, scale[2]) * (row[end[2]] - row[start[2]])
     c, s = ahead_x * a + ahead_z * b, ahead_z * a - ahead_x * b
     n = math.sqrt(c * c + s * s)
     if n > 1e-9:

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from operators.inputs.directions import turned_to
 from operators.inputs.lengths import length_of, metres
 from operators.inputs.marker_columns import marker_columns, marker_names
 from operators.steering.assemble_kernel import add_part, columns, gather_marks, predict, predict_linear, put
@@ -23,6 +24,7 @@ from operators.steering.settling import ROUNDS, settle
 from operators.steering.skeleton import hang
 from operators.steering.soft import faded, pull_mesh
 from operators.steering.stored import KIND, MAKER, from_model
+from stream.axes import Axes, in_axes
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.model import read_model
@@ -55,7 +57,7 @@ class _Steered(Operator[SteerMeshState]):
     __slots__ = ("columns", "learned", "regions", "room", "scale", "together")
     learned: Steering
     columns: Times
-    scale: float
+    scale: Samples
     together: Samples
     regions: Regions | None
     room: tuple[Samples, Samples, Samples, list[Samples], list[Samples]]
@@ -73,7 +75,8 @@ class SteerMesh(_Steered):
 
     Where the model says which way its markers face, the mesh turns with them about the vertical, y. The input has the model's markers by
     their names; `markers` names others in their place. A marker that is not seen has moved with the reference markers since it was;
-    before all have been seen, the mesh keeps the training's mean pose. No delay.
+    before all have been seen, the mesh keeps the training's mean pose. An input that declares its axes is turned to those of the model,
+    where that declares its own. No delay.
 
     The pose goes in as the model says: positions of markers, or the angles, lengths and directions of table 9.1. Parts are placed each by
     itself, or hang from one another as a virtual skeleton.
@@ -94,13 +97,16 @@ class SteerMesh(_Steered):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         unit = length_of(spec)
-        learned, mesh = from_model(read_model(self.model or QUADRUPED, KIND, MAKER))
-        columns = self._columns(spec, learned.markers)
+        model = read_model(self.model or QUADRUPED, KIND, MAKER)
+        learned, mesh = from_model(model)
+        axes = Axes.from_facts(model.header.get("axes"))
+        order, signs = turned_to(axes, spec)
+        columns = [[at[a] for a in order] for at in self._columns(spec, learned.markers)]
         m = len(learned.markers)
         rest = resting(learned, mesh.vertices)
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "columns", np.array(columns, np.int64))
-        object.__setattr__(self, "scale", metres(unit))
+        object.__setattr__(self, "scale", metres(unit) * np.array(signs))
         together = np.zeros((len(learned.parts), max(len(part.learned.mean) for part in learned.parts)))
         predicted = [room[: len(part.learned.mean)] for room, part in zip(together, learned.parts, strict=True)]
         object.__setattr__(self, "together", together)
@@ -121,7 +127,7 @@ class SteerMesh(_Steered):
                 ExchangedNames.none(),
             )
         )
-        meta = {key: value for key, value in spec.meta.items() if key != "skeleton"}
+        meta = {key: value for key, value in in_axes(spec, axes).items() if key != "skeleton"}
         quality = StreamSpec((1,), rate_hz=spec.rate_hz, channels=("outside",), settling_s=spec.settling_s, meta=meta)
         names = StreamSpec((), NAMED, units=("ns", "", "", ""), meta=meta)
         return {

@@ -9,11 +9,13 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from operators.inputs.directions import HELP, axes_of
 from operators.inputs.lengths import length_of, metres
 from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, PLACES, find_landmarks
 from operators.whole_pose.regions_kernel import REGIONS, Corrections, shown_by_region
 from operators.whole_pose.solve_kernel import GROUND, SIZE, Solver, solve
 from operators.whole_pose.upright import LEAST_S, MOST_S, RATE, SEEN, TOLD, tally_up, warn
+from stream.axes import BODY, in_axes
 from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from stream.errors import ParameterError
 from stream.humanoid import BONES, PARENTS, usual_body
@@ -22,8 +24,6 @@ from stream.model import Model, ModelError, read_model
 from stream.operator import Case, Operator, grid
 from stream.params import param
 
-AXES = {"y": ((0, 1, 2), (1.0, 1.0, 1.0)), "z": ((0, 2, 1), (1.0, 1.0, -1.0)), "-y": ((0, 1, 2), (1.0, -1.0, -1.0))}
-"""By the input's axis that points up: which of its axes become x, y and z, and with which sign."""
 NOTES = ("left foot stands", "right foot stands", "calibrated", "outside")
 
 
@@ -60,10 +60,11 @@ class Regression:
 class _Solving(Operator[WholePoseState]):
     """What stays as it is while samples come: the regression, the kernel's arrays, samples of standing that a calibration takes."""
 
-    __slots__ = ("learned", "needed", "solver")
+    __slots__ = ("learned", "needed", "solver", "upward")
     learned: Regression
     solver: Solver
     needed: int
+    upward: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,7 @@ class WholePose(_Solving):
     outputs: ClassVar[tuple[str, ...]] = ("pose", "joints", "quality")
     model: Path | None = param(None, help="what `kinegraph train pose` has made; left out: by geometry alone")
     landmarks: Mapping[str, tuple[str, ...]] | None = param(None, help="landmark: [point, ...], where names do not say")
-    up: Literal["y", "z", "-y"] = param("y", help="the input's axis that points up")
+    up: Literal["y", "z", "-y"] | None = param(None, help=f"{HELP} y")
     calibrate_s: float = param(
         1.0, least=0.0, help="standing still for this long gives the bone lengths; 0: as in the model"
     )
@@ -106,11 +107,13 @@ class WholePose(_Solving):
         if missing := [NAMES[k] for k in learned.learned.chosen if NAMES[k] not in found]:
             what = f"has no {missing[0]}, which {self.model} was trained for; it has {', '.join(found)}"
             raise ParameterError("model", str(self.model), f"a model for these markers: the input {what}")
-        axes, signs = AXES[self.up]
+        own = axes_of(spec, self.up, "y")
+        axes, signs = own.to(BODY)
         size = metres(unit)
         state = start(learned.tree)
         state.tally[RATE] = spec.rate_hz or 30.0
         object.__setattr__(self, "learned", learned)
+        object.__setattr__(self, "upward", own.up)
         object.__setattr__(self, "needed", round(self.calibrate_s * (spec.rate_hz or 30.0)))
         self.hold(state)
         present = np.array([name in found for name in NAMES])
@@ -123,7 +126,7 @@ class WholePose(_Solving):
             "pose": learned.tree.spec(spec.rate_hz, settling_s=settling_s, meta={**spec.meta, **meta}),
             "joints": StreamSpec(
                 (len(BONES), 3), rate_hz=spec.rate_hz, channels=BONES, units=("m",), settling_s=settling_s,
-                meta={**spec.meta, "skeleton": facts, "bones": bones},
+                meta={**in_axes(spec, BODY), "skeleton": facts, "bones": bones},
             ),
             "quality": StreamSpec(
                 (len(BONES) + len(NOTES),), rate_hz=spec.rate_hz, settling_s=settling_s,
@@ -153,13 +156,13 @@ class WholePose(_Solving):
         return [(name, Chunk(chunk.time, data, chunk.until, chunk.lost)) for name, data in made]
 
     def _watch(self, joints: Samples, quality: Samples) -> None:
-        """Whether `up` is what points up, in the first seconds."""
+        """Whether what points up is what is taken for it, in the first seconds."""
         tally = self.state.tally
         if tally[TOLD] or tally[SEEN] > MOST_S * tally[RATE]:
             return
         tally_up(joints, quality, tally)
         if tally[SEEN] >= LEAST_S * tally[RATE]:
-            tally[TOLD] = float(warn(tally, self.solver.axes, self.solver.signs, self.up))
+            tally[TOLD] = float(warn(tally, self.solver.axes, self.solver.signs, self.upward))
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

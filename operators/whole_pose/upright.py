@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 import structlog
@@ -74,7 +73,7 @@ def upright_along(tree: JointTree, poses: Samples, rate_hz: float) -> str:
     return advice(*found, ())[0] if found else ""
 
 
-def warn(tally: Samples, axes: Times, signs: Samples, up: Literal["y", "z", "-y"]) -> bool:
+def warn(tally: Samples, axes: Times, signs: Samples, up: str) -> bool:
     """Say so if somebody stands along another axis of the input than `up`; returns whether that was said."""
     found = lies_along(tally)
     if found is None:

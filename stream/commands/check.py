@@ -10,6 +10,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from stream.axes import describe_axes
+from stream.chunk import StreamSpec
 from stream.commands.graph_options import GraphFile, Settings, TrustedOnly
 from stream.errors import KinegraphError
 from stream.graph import Edge, Graph, Node, overrides
@@ -112,8 +114,14 @@ def _reads(graph: Graph, node: Node) -> str:
 
 def _gives(node: Node) -> str:
     if node.specs.keys() == {"out"}:
-        return node.specs["out"].describe()
-    return "\n".join(f"{output}: {spec.describe()}" for output, spec in node.specs.items())
+        return _described(node.specs["out"])
+    return "\n".join(f"{output}: {_described(spec)}" for output, spec in node.specs.items())
+
+
+def _described(spec: StreamSpec) -> str:
+    """What a stream is, and of one of points, poses or a mesh which way its axes point."""
+    axes = describe_axes(spec)
+    return f"{spec.describe()}; {axes}" if axes else spec.describe()
 
 
 def _paths(planned: Plan) -> Table:

@@ -10,6 +10,7 @@ import numpy as np
 
 from devices.files.exporter import Export, Exporter, Written
 from devices.files.exports.gathered import Gathered, GriddedStream, events_of, gather, on_grids, the_one
+from stream.axes import BODY, USUAL_FORWARD, Axes
 from stream.chunk import NS, Samples
 from stream.complete import complete, private_folder
 from stream.errors import RecordingError
@@ -41,6 +42,11 @@ def _c3d(wanted: Export) -> list[Written]:
     labels = markers[0].labels if markers else []
     made["parameters"]["POINT"]["LABELS"]["value"] = labels
     made["parameters"]["POINT"]["UNITS"]["value"] = [markers[0].spec.units[0] or "mm"] if markers else ["mm"]
+    if markers and (axes := Axes.of(markers[0].spec)):
+        if axes.left_handed:
+            points, axes = _turned(points, axes), BODY
+        for name, way in (("X_SCREEN", axes.forward or USUAL_FORWARD[axes.up]), ("Y_SCREEN", axes.up)):
+            made.add_parameter("POINT", name, [f"+{way}".upper().replace("+-", "-")])
     held = np.ones((4, len(labels), frames))
     held[:3] = points.transpose(2, 1, 0) if labels else 0.0
     made["data"]["points"] = held
@@ -97,10 +103,19 @@ def _c3d_events(made: object, streams: list[Gathered], start: int) -> None:
         made.add_event(time=time, context=side.capitalize() or "General", label=plain)  # type: ignore[attr-defined]
 
 
+def _turned(points: Samples, axes: Axes) -> Samples:
+    """Points (n, m, 3) with y up and z forward."""
+    columns, signs = axes.to(BODY)
+    return np.asarray(points[..., columns] * signs)
+
+
 def _trc(wanted: Export) -> list[Written]:
+    """OpenSim's markers have y up; where the stream declares its axes, they are turned to that."""
     one = the_one([s for s in gather(wanted) if s.is_markers], "a .trc file", "markers")
     grid = on_grids([one], resample=wanted.resample)[0]
     rate, start, points = grid.rate_hz, grid.start, grid.data
+    if axes := Axes.of(one.spec):
+        points = _turned(points, axes)
     labels = [re.sub(r"\s+", "_", label) for label in one.labels]
     unit = one.spec.units[0] or "m"
     lines = [

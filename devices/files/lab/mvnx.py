@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from devices.files.lab.understood import Asked, Understood
+from stream.axes import Axes
 from stream.chunk import Samples
 from stream.errors import RecordingError
 
@@ -129,7 +131,9 @@ def _stream(
     labels = _labels(tag, width, names)
     points = tag in ("position", "velocity", "acceleration") and labels and width == 3 * len(names["segment"])
     shaped = np.ascontiguousarray(data.reshape(len(data), -1, 3)) if points else data
-    spec = {"channels": names["segment"] if points else labels, "units": (UNITS.get(tag, ""),)}
+    spec: dict[str, Any] = {"channels": names["segment"] if points else labels, "units": (UNITS.get(tag, ""),)}
+    if tag in ("position", "centerOfMass"):
+        spec["meta"] = {"axes": Axes("z").facts()}
     made.add_timed(tag, seconds, shaped, 1, asked, rate_hz=rate, **spec)
 
 

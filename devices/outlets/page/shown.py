@@ -6,6 +6,7 @@ from typing import Any, Literal, TypeAlias
 
 from devices.outlets.page.poses import avatar_bones, bones_of
 from devices.outlets.page.wire import MOST_TEXT
+from stream.axes import Axes
 from stream.chunk import StreamSpec
 from stream.errors import InputError, KinegraphError, blaming
 from stream.filter import SampleWise
@@ -108,7 +109,7 @@ def described(name: str, spec: StreamSpec) -> dict[str, Any]:
         "describe": spec.describe(),
         "avatar": avatar_bones(spec),
         "bones": skeleton.pairs if skeleton else _pairs(spec.meta.get("bones")),
-        "down": spec.meta.get("axes") == "camera",
+        "down": (axes := Axes.of(spec)) is not None and axes.up == "-y",
         "columns": spec.meta.get("columns") if isinstance(spec.meta.get("columns"), int) else None,
         "faces": Topology.of(spec).faces.tolist() if kind_of(spec) == "mesh" else None,
     }

@@ -11,6 +11,7 @@ import numpy as np
 from operators.features.normalised_pose import NormalisedPose, normalise_pose
 from operators.features.pose import point_names
 from operators.pose_map.commands.marker_table import MarkerTable, own_table
+from stream.axes import BODY
 from stream.chunk import NS, Array, Samples, StreamSpec, Times
 from stream.errors import KinegraphError
 from stream.joint_tree import JointTree, joints_of
@@ -50,7 +51,7 @@ class PoseReading:
         made: list[GatheredPoses] = []
         with Recording.open(path) as opened:
             facts = {str(k)[:60]: str(v)[:200] for k, v in (opened.header.get("session") or {}).items()}
-            found = [name for name, s in opened.streams.items() if is_motion(s.spec)]
+            found = one_of_each([name for name, s in opened.streams.items() if is_motion(s.spec)], opened)
             for name in found:
                 time, rows = opened.read(name)
                 label = path.stem if len(found) == 1 else f"{path.stem} {name}"
@@ -88,7 +89,7 @@ class PoseReading:
                     f"{where}: {key}: the recording has no {marker!r}, by which poses are placed and turned"
                 )
         named = {marker: found.get(marker, ("?",)) for marker in table.markers}
-        operator = NormalisedPose(table.origin, table.ahead, named, table.up)  # type: ignore[arg-type]
+        operator = NormalisedPose(table.origin, table.ahead, named, table.up)
         s = operator.begin(points)
         made = np.empty((len(data), 3 * len(named)), np.float32)
         for i in range(0, len(data), 8192):
@@ -99,11 +100,26 @@ class PoseReading:
         return made
 
 
+def one_of_each(names: list[str], recording: Recording) -> list[str]:
+    """Without the poses of a node or file whose positions are there as well: they are the same motion once more."""
+    placed = [name for name in names if not _is_pose(recording.streams[name].spec)]
+
+    def again(name: str) -> bool:
+        of = name.rpartition(".")[0] or name
+        return name not in placed and any(other == of or other.startswith(f"{of}.") for other in placed)
+
+    return [name for name in names if not again(name)]
+
+
 def is_motion(spec: StreamSpec) -> bool:
     """Whether a stream holds markers or poses: not a mesh, not depth."""
     if "mesh" in spec.meta or spec.is_event:
         return False
     return "skeleton" in spec.meta or (len(spec.shape) == 2 and spec.shape[1] == 3 and spec.shape[0] > 1)
+
+
+def _is_pose(spec: StreamSpec) -> bool:
+    return "skeleton" in spec.meta and spec.is_signal
 
 
 def as_points(where: str, spec: StreamSpec, rows: Array) -> tuple[StreamSpec, Array, list[int] | None]:
@@ -115,7 +131,7 @@ def as_points(where: str, spec: StreamSpec, rows: Array) -> tuple[StreamSpec, Ar
             joints[i : i + 8192] = joints_of(tree, np.asarray(rows[i : i + 8192], np.float64))[1]
         shape = (len(tree.joints), 3)
         return (
-            StreamSpec(shape, rate_hz=spec.rate_hz, channels=tree.joints, units=("m",)),
+            StreamSpec(shape, rate_hz=spec.rate_hz, channels=tree.joints, units=("m",), meta={"axes": BODY.facts()}),
             joints,
             tree.parents.tolist(),
         )

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from operators.commands.marker_file import marker_file
+from stream.axes import WAYS, Up
 from stream.errors import KinegraphError, nearest
 from stream.motion_index import MOST_MARKERS
 
-UPS = ("x", "y", "z", "-x", "-y", "-z")
 KEYS = ("origin", "ahead", "up", "markers", "bones")
 
 
@@ -19,14 +19,14 @@ KEYS = ("origin", "ahead", "up", "markers", "bones")
 class MarkerTable:
     """
     origin, ahead   markers of the set: positions are relative to the first; the second is turned into the x-y plane
-    up              the recordings' axis that points up
+    up              the recordings' axis that points up; None: as they declare, else y
     markers         per marker of the set, what it may be called: of each name the markers whose mean it is; the first that is there counts
     bones           pairs of markers that are joined by a line
     """
 
     origin: str
     ahead: str
-    up: str
+    up: Up | None
     markers: dict[str, tuple[tuple[str, ...], ...]]
     bones: tuple[tuple[str, str], ...]
 
@@ -54,8 +54,8 @@ def read_table(path: Path) -> MarkerTable:
             raise KinegraphError(f"{path}: {key} is {said.get(key)!r}; {nearest(str(said.get(key)), markers)}")
     if said["origin"] == said["ahead"]:
         raise KinegraphError(f"{path}: ahead must be another marker than origin")
-    if (up := said.get("up", "y")) not in UPS:
-        raise KinegraphError(f"{path}: up is {up!r}; it must be one of {', '.join(UPS)}")
+    if (up := said.get("up")) not in (None, *WAYS):
+        raise KinegraphError(f"{path}: up is {up!r}; it must be one of {', '.join(WAYS)}")
     return MarkerTable(said["origin"], said["ahead"], up, markers, _bones(path, said.get("bones") or [], markers))
 
 
@@ -88,4 +88,4 @@ def own_table(names: Sequence[str], parents: Sequence[int] | None, origin: str, 
             f"{len(names)} markers; a map holds {MOST_MARKERS} at most: name those that matter by --markers"
         )
     bones = tuple((names[p], names[j]) for j, p in enumerate(parents or ()) if p >= 0)
-    return MarkerTable(origin, ahead, "y", {name: ((name,),) for name in names}, bones)
+    return MarkerTable(origin, ahead, None, {name: ((name,),) for name in names}, bones)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from operators.steering.fit import PoseRegression, Steering
     from operators.steering.pose_parameters import MarkerGraph
     from operators.steering.soft import MarkerPull
+    from stream.axes import Axes
     from stream.chunk import Samples
     from stream.mesh import Topology
 
@@ -132,12 +133,12 @@ def steering(
     to_other = {"ranges": ranges, "pairing": pairing}
     parted = skeleton or any(asked[name] != known[0] for name, known in ASSEMBLIES.items())
     _refuse(output, report, method, asked, skeleton=skeleton, parted=parted, overwrite=overwrite)
-    frames, topology = _frames(recordings)
+    frames, topology, axes = _frames(recordings)
     said = _markers(markers, topology.vertices)
     _refuse_method(method, markers, said, ways, performed=performer is not None)
     graph = _body_graph(frames, topology, markers, said, to_other, performer=performer is not None)
     _tell_heading(recordings[0].name, frames[:, [said["markers"][name] for name in said["heading"]]])
-    performed = _performed(performer, tuple(said["performer"].values())) if performer else None
+    performed = _performed(performer, tuple(said["performer"].values()), axes) if performer else None
     if performer and performed is not None:
         _tell_heading(performer.name, performed[:, [list(said["markers"]).index(name) for name in said["heading"]]])
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
@@ -162,6 +163,7 @@ def steering(
         told |= to_other
     header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
     told |= {"left_out": off, "softly": _softly(model), "trained_on": [path.name for path in recordings]}
+    told |= {"axes": axes.facts()} if axes else {}
     write_model(output, KIND, {**header, **told, "performer": performer.name if performer else ""}, arrays)
     _tell(output, model, how, off, pull)
 
@@ -329,14 +331,16 @@ def _body_graph(
         raise KinegraphError(f"{markers}: {one}: {error}") from None
 
 
-def _frames(recordings: list[File]) -> tuple[Samples, Topology]:
-    """All frames of the one mesh that the recordings hold."""
+def _frames(recordings: list[File]) -> tuple[Samples, Topology, Axes | None]:
+    """All frames of the one mesh that the recordings hold, and the axes that these declare."""
     import numpy as np
 
+    from stream.axes import Axes
     from stream.batch.sessions import open_session, sessions_at
     from stream.mesh import Topology
 
     found: list[Any] = []
+    axes: Axes | None = None
     mesh: Topology | None = None
     for path in sessions_at(recordings):
         with open_session(path) as opened:
@@ -347,7 +351,11 @@ def _frames(recordings: list[File]) -> tuple[Samples, Topology]:
                         raise KinegraphError(
                             f"{path}: {name} is another mesh than the one before ({other.hash}, {mesh.hash})"
                         )
-                    mesh = other
+                    declared = Axes.of(stream.spec)
+                    if mesh and declared != axes:
+                        words = " and ".join(one.describe() if one else "axes not declared" for one in (axes, declared))
+                        raise KinegraphError(f"{path}: {name} has other axes than the one before: {words}")
+                    mesh, axes = other, declared
                     found.append(np.asarray(opened.read(name)[1], np.float64))
     if mesh is None:
         raise KinegraphError(
@@ -359,13 +367,17 @@ def _frames(recordings: list[File]) -> tuple[Samples, Topology]:
         raise KinegraphError(f"finite frames of the mesh: {len(frames)}; at least 2 are needed to learn how it moves")
     if len(frames) > MOST_FRAMES:
         frames = frames[np.linspace(0, len(frames) - 1, MOST_FRAMES).astype(int)]
-    return frames, mesh
+    return frames, mesh, axes
 
 
-def _performed(path: File, names: tuple[str, ...]) -> Samples:
-    """Where the markers `names` were in the first stream of the recording that has them all, (n, m, 3) m, where all are seen."""
+def _performed(path: File, names: tuple[str, ...], axes: Axes | None) -> Samples:
+    """Where the markers `names` were in the first stream of the recording that has them all, (n, m, 3) m, where all are seen.
+
+    In the mesh's axes, where both declare them.
+    """
     import numpy as np
 
+    from operators.inputs.directions import turned_to
     from operators.inputs.lengths import metres
     from operators.inputs.marker_columns import marker_columns
     from stream.batch.sessions import open_session, sessions_at
@@ -378,9 +390,10 @@ def _performed(path: File, names: tuple[str, ...]) -> Samples:
                 known += [c for c in spec.channels if c not in known]
                 if spec.is_event or spec.dtype.kind != "f" or not set(names) <= set(spec.channels):
                     continue
-                columns = np.array([marker_columns(spec, one, "markers") for one in names])
+                order, signs = turned_to(axes, spec)
+                columns = np.array([marker_columns(spec, one, "markers") for one in names])[:, order]
                 rows = np.asarray(opened.read(name)[1], np.float64)
-                found: Samples = rows.reshape(len(rows), -1)[:, columns] * metres(spec.units[0])
+                found: Samples = rows.reshape(len(rows), -1)[:, columns] * metres(spec.units[0]) * np.array(signs)
                 found = found[np.isfinite(found).all(axis=(1, 2))]
                 if len(found) < 2:
                     raise KinegraphError(f"{path}: {name}: all markers are seen in {len(found)} samples; 2 are needed")
