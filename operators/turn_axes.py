@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -45,6 +45,8 @@ class TurnAxes(SampleWise[TurnAxesState]):
     >>> TurnAxes(from_up="z")(np.array([[[1.0, 2.0, 3.0]]]), rate_hz=100)
     array([[[ 1.,  3., -2.]]])
     """
+
+    departures: ClassVar[dict[str, str]] = {"channels": "coordinates of a point change places"}
 
     up: Up = param("y", help="the axis that points up in what comes out")
     forward: Literal["", "x", "y", "z", "-x", "-y", "-z"] = param(

@@ -10,6 +10,7 @@ from devices.simulators.quadruped import marked, topology, walking
 from operators.steering.fit import fit_steering
 from operators.steering.operator import QUADRUPED
 from operators.steering.stored import KIND, to_arrays
+from stream.axes import BODY
 from stream.chunk import Array
 from stream.model import write_model
 
@@ -21,7 +22,8 @@ def made() -> tuple[dict[str, Any], dict[str, Array]]:
     frames = np.array([walking(k / 24) for k in range(24)])
     mesh = topology()
     model = fit_steering(frames, mesh.faces, marked(), ("withers", "croup"), LIMBS, count=14, modes=2)
-    return to_arrays(model, mesh, LIMBS)
+    header, arrays = to_arrays(model, mesh, LIMBS)
+    return {**header, "axes": BODY.facts()}, arrays
 
 
 if __name__ == "__main__":

@@ -45,10 +45,10 @@ def read_kinect(
 
     With a header, columns are known by name: `WristLeft_x` or `wrist_l.x`, and so on; `..._state` (or tracked, confidence) of 0 means not
     seen; the time is called time, t or timestamp. Without one, a line is the time (or nothing), then 20 or 25 joints in the Kinect's own
-    order, with three or four numbers each, the fourth being that state, in its axes. A joint at exactly 0, 0, 0 was not seen either. Where the times do
-    not say their unit, it is the one in which 4 to 70 frames make a second. With `rate_hz`, the number of a frame takes the place of
-    the time, and `rate_hz` numbers make a second: the first frame is at time 0, and numbers left out are lost frames (where all steps are
-    multiples of two, every second number). Raises RecordingError with file and line.
+    order and axes, with three or four numbers each, the fourth being that state. A joint at exactly 0, 0, 0 was not seen either. Where the
+    times do not say their unit, it is the one in which 4 to 70 frames make a second. With `rate_hz`, the number of a frame takes the place
+    of the time, and `rate_hz` numbers make a second: the first frame is at time 0, and numbers left out are lost frames (where all steps
+    are multiples of two, every second number). Raises RecordingError with file and line.
     """
     rows = read_rows(path)
     columns = read_csv(path) if rows is None else {}
