@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from stream.graph.opening import open_nodes
 from stream.graph.overrides import override, placed, rewrite
 from stream.graph.page_options import PageOptions
 from stream.graph.page_section import read_page
-from stream.graph.parts import import_from
+from stream.graph.parts import Part, import_from, registered
 from stream.graph.problems import Problems
 from stream.graph.shipped import resolve, shipped
 from stream.graph.suited import refuse_unsuited
@@ -111,19 +111,53 @@ def load_text(
     return graph
 
 
-def load_page(text: str, streams: Iterable[str]) -> PageOptions:
-    """The section `page` alone, of a recorded graph whose nodes cannot be made here, for the streams that were recorded.
+@dataclass(frozen=True, slots=True)
+class RecordedPage:
+    """What the graph of a recording says of its page.
 
-    What it says of others, and panels that nodes bring, are left out. Raises KinegraphError where the text is no graph.
+    parts    the classes of its nodes, as far as they are ours or registered (`stream.graph.parts.registered`); none is made or opened
+    reads    the outputs that each of these nodes reads
+    options  the section `page`
+    """
+
+    parts: dict[str, Part] = field(default_factory=dict)
+    reads: dict[str, list[str]] = field(default_factory=dict)
+    options: PageOptions = field(default_factory=PageOptions)
+
+
+def load_page(text: str, streams: Iterable[str]) -> RecordedPage:
+    """The page of a recorded graph, of which nothing is run: anybody may have written it.
+
+    What cannot be understood without other nodes is left out. Raises KinegraphError where the text is no graph.
     """
     problems, outputs = Problems("recorded"), dict[str, tuple[str, ...]]()
     for name in streams:
         node, _, output = name.partition(".")
         outputs[node] = (*outputs.get(node, ()), output or "out")
     root = parse(text, "recorded")
-    section = root.items().get("page") if isinstance(root.value, dict) else None
-    return read_page(
-        section.items() if section and isinstance(section.value, dict) else {}, Wiring(outputs, problems), problems
+    nodes = {name: at.items() for name, at in root.items().get("nodes", Located({}, 0)).items().items()}
+    if len(nodes) > MOST_NODES:
+        return RecordedPage()
+    used = {name: at["use"].value for name, at in nodes.items() if "use" in at}
+    parts = {name: part for name, use in used.items() if isinstance(use, str) and (part := registered(use))}
+    outputs |= {name: part.outputs for name, part in parts.items() if part.outputs}
+    wiring = Wiring(outputs, problems)
+    reads = {name: [str(edge) for at in _named(nodes[name].get("from")) if (edge := wiring.edge(at))] for name in parts}
+    section = root.items().get("page", Located({}, 0)).items()
+    return RecordedPage(parts, reads, read_page(section, wiring, problems, parts.values()))
+
+
+def _named(written: Located | None) -> list[Located]:
+    """The outputs that a `from` names."""
+    value = written.value if written else None
+    return (
+        [*value.values()]
+        if isinstance(value, dict)
+        else value
+        if isinstance(value, list)
+        else [written]
+        if value
+        else []
     )
 
 

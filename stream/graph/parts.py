@@ -78,6 +78,21 @@ def find(use: str) -> Part:
     raise UseError(f"{use} must be a source, an operator or an outlet (a dataclass), but {fault}{hint}")
 
 
+def registered(use: str) -> Part | None:
+    """The class at a dotted path, if it is ours or in a package registered under `kinegraph.parts`; nothing else is imported."""
+    module, _, name = use.rpartition(".")
+    known = any(module == package or module.startswith(f"{package}.") for package in packages())
+    if not known or not all(part.isidentifier() and not part.startswith("_") for part in use.split(".")):
+        return None
+    try:
+        found = getattr(importlib.import_module(module), name, None)
+    except BaseException as error:
+        if asked_to_end(error):
+            raise
+        return None
+    return found if is_part(found) else None
+
+
 def _shadowed(module: str) -> str:
     """A user's own file that an installed module of the same name comes before."""
     top = module.partition(".")[0]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -146,9 +148,76 @@ nodes:
         {"graph": graph, "session": {}},
     )
     with Recording.open(tmp_path / "s.mcap") as opened:
-        panel, marks = decode(RecordingHub(opened).greeting())[0]["panels"]
+        panel, unrecorded, marks = decode(RecordingHub(opened).greeting())[0]["panels"]
     assert marks["title"] == "marks"
+    assert unrecorded["missing"] == ["bands.low"]
     assert (panel["kind"], panel["of"], panel["title"], panel["wide"]) == ("signal", ["board.emg"], "legs", 2)
+
+
+def recorded_by(graph: str, path: Path) -> Path:
+    series = Series("board.emg", SIGNAL, second(0).time, second(0).data)
+    write_recording(path, [series], {"graph": graph, "session": {}})
+    return path
+
+
+@pytest.mark.parametrize(
+    "use", ["{module}.Rectify", "stream.__main__.main", "operators.__main__.X", "test.__main__.X", "..X"]
+)
+def test_looking_at_a_recording_imports_no_module_that_its_graph_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: str
+) -> None:
+    module = f"stranger_of_{abs(hash(tmp_path))}"
+    (tmp_path / f"{module}.py").write_text(f"from pathlib import Path\nPath({str(tmp_path / 'ran')!r}).touch()\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    graph = f"""
+page: {{panels: [{{kind: signal, of: [board.emg, other]}}]}}
+nodes:
+  board: {{use: devices.simulators.treadmill.Treadmill}}
+  other: {{use: {use.format(module=module)}, from: board.emg}}
+"""
+    with Recording.open(recorded_by(graph, tmp_path / "s.mcap")) as opened:
+        before = {*sys.modules}
+        panel = decode(RecordingHub(opened).greeting())[0]["panels"][0]
+    assert (panel["kind"], panel["of"]) == ("signal", ["board.emg"])
+    assert not (tmp_path / "ran").exists()
+    assert not {name for name in {*sys.modules} - before if name.startswith(("stranger", "test.", "stream.__main__"))}
+
+
+def test_looking_at_a_recording_opens_no_operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = """
+nodes:
+  board: {use: devices.simulators.treadmill.Treadmill}
+  rect: {use: operators.rectify.Rectify, from: board.emg}
+"""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("an operator was opened")
+
+    monkeypatch.setattr("stream.graph.opening.open_nodes", refuse)
+    monkeypatch.setattr("stream.graph.load.open_nodes", refuse)
+    with Recording.open(recorded_by(graph, tmp_path / "s.mcap")) as opened:
+        assert decode(RecordingHub(opened).greeting())[0]["panels"]
+
+
+def test_a_registered_package_brings_its_panels_to_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = f"gait_lab_of_{abs(hash(tmp_path))}"
+    (tmp_path / f"{package}.py").write_text(
+        "from dataclasses import dataclass\nfrom operators.rectify import Rectify\n"
+        "@dataclass(frozen=True)\nclass Dial(Rectify):\n    panels = {'dial': 'dial.js'}\n"
+    )
+    (tmp_path / "dial.js").write_text("export default () => ({ draw() {} });")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr("stream.graph.parts.entry_points", lambda group: [EntryPoint("lab", package, group)])
+    graph = f"nodes:\n  board: {{use: {package}.Dial, from: x}}\n"
+    with Recording.open(recorded_by(graph, tmp_path / "s.mcap")) as opened:
+        hub = RecordingHub(opened)
+        assert decode(hub.greeting())[0]["panels"][0] == {
+            "kind": "dial",
+            "of": ["board.emg"],
+            "title": "board",
+            "missing": [],
+        }
+        assert [*hub.modules] == ["dial"]
 
 
 @pytest.mark.parametrize(("at", "value"), [(0.0, 1), (12.35, 13), (39.9, 40)])

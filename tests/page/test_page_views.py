@@ -218,11 +218,11 @@ def test_an_installed_package_brings_a_panel_by_an_entry_point(monkeypatch: pyte
         "page: {panels: [{kind: dial, of: board.emg}]}\nnodes: {board: {use: devices.simulators.treadmill.Treadmill}}\n"
     )
     graph = load_text(text)
-    assert own_modules(graph) == {"dial": "export default () => ({ draw() {} });"}
+    assert own_modules(graph.page) == {"dial": "export default () => ({ draw() {} });"}
     assert hello(graph, outside=False, mode="live", t0_ns=0)["panels"][0]["kind"] == "dial"
     (tmp_path / "dial.js").unlink()
     with pytest.raises(KinegraphError, match=r"dial\.js"):
-        own_modules(graph)
+        own_modules(graph.page)
 
 
 # self-similarity -----------------------------------------------------------------------------------------------------

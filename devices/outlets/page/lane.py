@@ -76,7 +76,7 @@ class LivePage:
         self.refuse_missing()
         self._avatar = checked_avatar(avatar or graph.page.avatar)
         self._avatar_asked = avatar is not None
-        self._modules = own_modules(graph)
+        self._modules = own_modules(graph.page)
         self._specs = offered(graph, outside=not is_loopback(self._address.host))
         self._steered: dict[str, Callable[..., None]] = {}
         self._length_s = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterable, Mapping
 from typing import Any, Literal, TypeAlias
 
 from devices.outlets.page.poses import avatar_bones, bones_of
@@ -11,10 +12,12 @@ from stream.chunk import StreamSpec
 from stream.errors import InputError, KinegraphError, blaming
 from stream.filter import SampleWise
 from stream.graph import Edge, Graph
+from stream.graph.load import RecordedPage
 from stream.graph.page_options import PageOptions
 from stream.manual import Annotations, Value
 from stream.mesh import Topology
 from stream.operator import Operator
+from stream.outlet import Outlet
 from stream.recording.image import is_picture
 
 Kind: TypeAlias = Literal["signal", "events", "frame", "points", "curves", "mesh", "pose"]
@@ -169,21 +172,22 @@ def words_of(graph: Graph) -> list[str]:
     return [word[:MOST_TEXT] for word in dict.fromkeys(said)][:MOST_WORDS]
 
 
-def own_panels(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
-    """The panels that nodes bring: an operator's of what it gives, an outlet's of what it is given."""
+def own_panels(
+    parts: Mapping[str, Any], of: Mapping[str, Iterable[str]], modules: Container[str], specs: Container[str]
+) -> list[dict[str, Any]]:
+    """The panels that nodes bring: an operator's of what it gives, an outlet's of what it is given; `of` names these streams."""
     found = []
-    for node in graph.nodes.values():
-        edges = [*node.inputs.values()] if node.is_outlet else [Edge(node.name, output) for output in node.specs]
-        of = [str(edge) for edge in edges if str(edge) in specs]
-        kinds = [kind for kind in getattr(node.part, "panels", {}) if kind in graph.page.modules]
-        found += [{"kind": kind, "of": of, "title": node.name} for kind in kinds if of]
+    for name, part in parts.items():
+        streams = [stream for stream in of[name] if stream in specs]
+        kinds = [kind for kind in getattr(part, "panels", {}) if kind in modules]
+        found += [{"kind": kind, "of": streams, "title": name} for kind in kinds if streams]
     return found
 
 
-def own_modules(graph: Graph) -> dict[str, str]:
+def own_modules(page: PageOptions) -> dict[str, str]:
     """The JavaScript of panels that are not the page's own, by kind. Raises KinegraphError for one that cannot be read."""
     found = {}
-    for kind, path in graph.page.modules.items():
+    for kind, path in page.modules.items():
         try:
             found[kind] = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
@@ -198,11 +202,24 @@ def panels_of(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]
     if graph.page.panels:
         return arranged(graph.page, specs)
     inputs = {node.name: [str(edge) for edge in node.inputs.values()] for node in graph.nodes.values()}
+    of = {
+        n.name: inputs[n.name] if n.is_outlet else [str(Edge(n.name, o)) for o in n.specs] for n in graph.nodes.values()
+    }
     return [
-        *own_panels(graph, specs),
+        *own_panels({node.name: node.part for node in graph.nodes.values()}, of, graph.page.modules, specs),
         *default_panels(specs, inputs),
         *({"kind": kind, "of": [], "wide": wide} for kind, wide in (("state", 1), ("graph", 2), ("log", 2))),
     ]
+
+
+def recorded_panels(page: RecordedPage, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
+    """The panels of a recording, as the graph that made it arranges them, else by the streams' kinds."""
+    options = page.options
+    if options.panels:
+        return [panel for panel in arranged(options, specs) if panel["of"]]
+    given = {name: [stream for stream in specs if stream.partition(".")[0] == name] for name in page.parts}
+    of = {name: page.reads[name] if issubclass(part, Outlet) else given[name] for name, part in page.parts.items()}
+    return [*own_panels(page.parts, of, options.modules, specs), *default_panels(specs, page.reads)]
 
 
 def arranged(page: PageOptions, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:

@@ -12,13 +12,11 @@ from devices.outlets.page import messages
 from devices.outlets.page.hub import Looking, check_analysis
 from devices.outlets.page.marks import MARKS, SPEC, shown_with
 from devices.outlets.page.reading import RecordedViews
-from devices.outlets.page.shown import arranged, default_panels, described, own_modules, panels_of, with_avatar
+from devices.outlets.page.shown import described, own_modules, recorded_panels, with_avatar
 from devices.outlets.page.wire import Analyse, Asked, Look, Mark, encode
-from stream.chunk import NS, StreamSpec
+from stream.chunk import NS
 from stream.errors import KinegraphError
-from stream.graph import Graph
-from stream.graph.load import load_page, load_text
-from stream.graph.page_options import PANEL_KINDS
+from stream.graph.load import RecordedPage, load_page
 from stream.recording import Recording
 
 log = structlog.get_logger(__name__)
@@ -44,17 +42,18 @@ class RecordingHub(RecordedViews):
     def __init__(self, recording: Recording, *, asks_avatar: bool = False) -> None:
         super().__init__(recording)
         self._asks_avatar = asks_avatar
+        self._page = (
+            self._read_page()
+        )  # once and before anybody looks: it takes seconds where the text is made for that
         self.clients: set[Looking] = set()
 
     def visitor(self) -> Looking:
         return Visitor()
 
     def greeting(self) -> bytes:
-        graph = self._made_by
         specs = dict(zip(self.names, self.specs, strict=True))
-        wide = ("graph", "state", "log")
-        panels = panels_of(graph, specs) if graph else self._arranged(specs) or default_panels(specs, {})
-        panels = [panel for panel in panels if panel["kind"] not in wide]
+        live = ("graph", "state", "log")
+        panels = [panel for panel in recorded_panels(self._page, specs) if panel["kind"] not in live]
         panels = shown_with(with_avatar(panels, specs) if self._asks_avatar else panels)
         for panel in panels:
             panel["missing"] = [
@@ -74,24 +73,13 @@ class RecordingHub(RecordedViews):
 
     @cached_property
     def modules(self) -> dict[str, str]:
-        return own_modules(self._made_by) if self._made_by else {}
+        return own_modules(self._page.options)
 
-    @cached_property
-    def _made_by(self) -> Graph | None:
-        """The graph that made the recording, for the arrangement of its panels; None where it cannot be loaded here."""
+    def _read_page(self) -> RecordedPage:
         try:
-            recorded = {name: s.spec for name, s in self.recording.streams.items()}
-            return load_text(str(self.recording.header["graph"]), "recorded", recorded=recorded, trusted_only=True)
+            return load_page(str(self.recording.header["graph"]), self.recording.streams)
         except (KinegraphError, KeyError):
-            return None
-
-    def _arranged(self, specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
-        """Panels as the graph arranged them, although it cannot be loaded: a file that it names is elsewhere, or a part not installed."""
-        try:
-            page = load_page(str(self.recording.header["graph"]), self.recording.streams)
-        except (KinegraphError, KeyError):
-            return []
-        return [panel for panel in arranged(page, specs) if panel["of"] and panel["kind"] in PANEL_KINDS]
+            return RecordedPage()
 
     def want(self) -> None:
         """Nothing: all is read when it is looked at."""
