@@ -169,7 +169,13 @@ def _ceiling(path: Path) -> AbstractContextManager[None]:
     """Within: a command that does nothing else gets no more memory than a file of this size may take, whatever a library asks for."""
     if threading.active_count() > 1 or not path.is_file():
         return nullcontext()
-    return limited(ROOM + RATIO * path.stat().st_size)
+    return limited(room(path))
+
+
+def room(path: Path) -> int:
+    """Bytes that a command that does nothing but read a file, or the files of a session's folder, gets beside those that it has."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return ROOM + RATIO * sum(file.stat().st_size for file in files if file.is_file())
 
 
 def _short(failed: Exception) -> str:

@@ -24,6 +24,8 @@ FOREVER = np.iinfo(np.int64).max
 NEVER = np.iinfo(np.int64).min
 """The `until` of a stream of which nothing is known yet."""
 MOST_AXES = 8
+MIN_RATE_HZ, MAX_RATE_HZ = 1e-9, 1e9
+"""Slower ones have a period of decades, faster ones one of less than a nanosecond."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,8 @@ class StreamSpec:
             object.__setattr__(self, "channels", tuple(self.dtype.names))
         if self.rate_hz is not None and not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ValueError(f"rate_hz is {self.rate_hz}; it must be positive, or None for an irregular stream")
+        if self.rate_hz is not None and not MIN_RATE_HZ <= self.rate_hz <= MAX_RATE_HZ:
+            raise ValueError(f"rate_hz is {self.rate_hz}; it must be from {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} Hz")
         if len(set(self.channels)) != len(self.channels):
             raise ValueError(f"channel names must differ, got {', '.join(self.channels)}")
         if self.channels and not self.dtype.names and self.shape[self.channel_axis] != len(self.channels):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,10 @@ from stream.plain import say
 if TYPE_CHECKING:
     from devices.outlets.page.address import Address
     from devices.outlets.page.viewing import RecordingHub
+
+
+FOR_CLIENTS = 192 << 20
+"""Bytes for threads and for what waits for clients, beside those that reading a file may take."""
 
 
 def view(
@@ -31,7 +36,10 @@ def view(
     from devices.outlets.page.avatar_file import checked_avatar
     from devices.outlets.page.serving import refuse_unbuilt
     from devices.outlets.page.viewing import RecordingHub
+    from stream.bounded import reading, room
+    from stream.ceiling import limited
     from stream.commands import logs
+    from stream.errors import RecordingError
     from stream.recording import Recording
 
     logs.set_up()
@@ -39,8 +47,13 @@ def view(
     address.check()
     refuse_unbuilt()
     shown = checked_avatar(avatar).read_bytes()
-    with Recording.open(recording) as opened:
-        asyncio.run(_serve(RecordingHub(opened, asks_avatar=avatar is not None), address, duration_s, shown))
+    if not recording.exists():
+        raise RecordingError(f"{recording}: there is no such recording")
+    with limited(room(recording) + FOR_CLIENTS), ExitStack() as stack:
+        with reading(recording, "a recording that can be shown"):
+            opened = stack.enter_context(Recording.open(recording))
+            hub = RecordingHub(opened, asks_avatar=avatar is not None)
+        asyncio.run(_serve(hub, address, duration_s, shown))
 
 
 async def _serve(hub: RecordingHub, address: Address, duration_s: float, avatar: bytes) -> None:
@@ -60,6 +73,7 @@ async def _serve(hub: RecordingHub, address: Address, duration_s: float, avatar:
     finally:
         building.cancel()
         await server.close()
+        await hub.close()
 
 
 def _in(loop: asyncio.AbstractEventLoop, hub: RecordingHub, message: bytes) -> None:

@@ -149,16 +149,12 @@ def load_page(text: str, streams: Iterable[str]) -> RecordedPage:
 
 def _named(written: Located | None) -> list[Located]:
     """The outputs that a `from` names."""
-    value = written.value if written else None
-    return (
-        [*value.values()]
-        if isinstance(value, dict)
-        else value
-        if isinstance(value, list)
-        else [written]
-        if value
-        else []
-    )
+    match written and written.value:
+        case dict(ports):
+            return [*ports.values()]
+        case list(items):
+            return items
+    return [written] if written and written.value else []
 
 
 class _Loading:

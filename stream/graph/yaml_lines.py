@@ -7,7 +7,9 @@ in a plain sentence with its line.
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, TypeAlias
 
 from ruamel.yaml import YAML
@@ -26,6 +28,9 @@ _MOST_VALUES = 100_000
 _MOST_LETTERS = 512 << 10
 """A longer text is refused before it is read, which takes seconds."""
 _DEEPEST = 50
+_BRACKET = re.compile(r"[][{}]")
+_MOST_OPEN = 500
+"""Brackets that are open at a time, also those within texts; the parser takes seconds for more."""
 NESTED = "lists and mappings are nested too deeply; no graph needs more than a few levels"
 
 
@@ -79,6 +84,8 @@ def parse(text: str, path: str) -> Located:
     """The whole text as one value; raises GraphError with the line of what is no YAML, or not plain."""
     if len(text) > _MOST_LETTERS:
         raise GraphError(f"the graph has {len(text)} characters; it must have at most {_MOST_LETTERS}", path=path)
+    if max(accumulate(1 if sign in "[{" else -1 for sign in _BRACKET.findall(text)), default=0) > _MOST_OPEN:
+        raise GraphError(NESTED, path=path)
     yaml = YAML(typ="safe", pure=True)
     try:
         root = yaml.compose(io.StringIO(text))

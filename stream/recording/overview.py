@@ -24,7 +24,7 @@ from stream.chunk import Array, StreamSpec, Times
 from stream.recording.format import COLUMNS, Kept, table
 
 NAME, MEDIA_TYPE = "kinegraph.overview/", "application/x-kinegraph-overview"
-LEAST_WIDTH_NS = 1 << 26
+LEAST_WIDTH_NS, MOST_WIDTH_NS = 1 << 26, 1 << 62
 SAMPLES_IN_A_PIECE = 16
 MOST_CHANNELS, MOST_GAPS = 64, 1000
 COMPILED = "fdbBhHiIlLqQ"
@@ -37,7 +37,8 @@ def width_of(spec: StreamSpec) -> int:
     """How long a piece of a stream's overview is (ns); 0: it has none. It pays for itself where a piece holds many samples."""
     if not spec.is_signal or not spec.period_ns or prod(spec.shape) > MOST_CHANNELS or spec.dtype.kind not in "fiu":
         return 0
-    return max(LEAST_WIDTH_NS, 1 << (SAMPLES_IN_A_PIECE * spec.period_ns - 1).bit_length())
+    width = max(LEAST_WIDTH_NS, 1 << (SAMPLES_IN_A_PIECE * spec.period_ns - 1).bit_length())
+    return width if width < MOST_WIDTH_NS else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,10 +142,17 @@ def unpack(data: bytes, spec: StreamSpec) -> Overview:
     end = LENGTH.size + LENGTH.unpack_from(data)[0]
     facts = json.loads(data[LENGTH.size : end])
     n, channels, width = facts["pieces"], facts["channels"], facts["width_ns"]
-    if channels != prod(spec.shape) or width < 1 or n < 1 or len(data) != end + n * (8 + 8 * channels):
+    if (
+        channels != prod(spec.shape)
+        or not 1 <= width < MOST_WIDTH_NS
+        or n < 1
+        or len(data) != end + n * (8 + 8 * channels)
+    ):
         raise ValueError("an overview of another size")
     pieces = np.frombuffer(data, "<i8", n, end).astype(np.int64)
     if (np.diff(pieces) <= 0).any():
         raise ValueError("an overview whose pieces are out of order")
     low, high = np.frombuffer(data, "<f4", 2 * n * channels, end + 8 * n).astype(np.float32).reshape(2, n, channels)
-    return Overview(width, pieces, low, high, [(int(a), int(b)) for a, b in facts["gaps"]][:MOST_GAPS])
+    gaps = [(int(a), int(b)) for a, b in facts["gaps"][:MOST_GAPS]]
+    np.array(gaps, np.int64)  # raises OverflowError for what is no stamp
+    return Overview(width, pieces, low, high, gaps)

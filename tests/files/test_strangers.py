@@ -11,12 +11,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import lz4.frame
+import numpy as np
 import pytest
 import zstandard
 from mcap.opcode import Opcode
 
 from stream import bounded
+from stream.chunk import NS, StreamSpec
 from stream.errors import RecordingError
+from stream.recording.series import Series, write_recording
 from tests.support.measured import MOST_MB, MOST_S, measured
 
 
@@ -75,6 +78,18 @@ def test_a_recording_of_nothing_but_zeros_is_refused_at_once(made: Path, tmp_pat
     (tmp_path / "bomb.mcap").write_bytes(bomb(whole, "zstd", packed, bounded.LEAST, 10_000_000 // len(packed)))
     told = measured(command, "bomb.mcap", folder=tmp_path)
     assert told.code == 2 and "bomb.mcap: it claims to hold" in told.err
+    assert told.peak_mb < MOST_MB and told.cpu_s < MOST_S
+
+
+@pytest.mark.parametrize("command", ["info", "view"])
+def test_a_stream_of_very_many_channels_is_looked_at_within_bounds(tmp_path: Path, command: str) -> None:
+    wide = StreamSpec((60_000,), np.dtype("<f4"))
+    stamps = np.array([NS, 3601 * NS])
+    write_recording(tmp_path / "wide.mcap", [Series("wide", wide, stamps, np.zeros((2, 60_000), "<f4"))], {"graph": ""})
+    assert (tmp_path / "wide.mcap").stat().st_size < 10_000
+    options = ("--for", "1", "--page-at", ":0") if command == "view" else ()
+    told = measured(command, "wide.mcap", *options, folder=tmp_path)
+    assert told.code == 0 and "Traceback" not in told.err
     assert told.peak_mb < MOST_MB and told.cpu_s < MOST_S
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import json
 import subprocess
@@ -11,7 +12,12 @@ import numpy as np
 import pytest
 
 from devices.outlets.page.marks import MOST_MARKS, Marks, shown_with
+from devices.outlets.page.viewing import RecordingHub
+from devices.outlets.page.wire import Mark
+from stream.chunk import NS, StreamSpec
 from stream.errors import KinegraphError
+from stream.recording import Recording
+from stream.recording.series import Series, write_recording
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
 from tests.support.live_browser import LiveBrowser, live_browser
@@ -73,10 +79,41 @@ def mark(browser: LiveBrowser, text: str) -> float:
     return float(at)
 
 
+def test_many_quick_marks_are_written_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    signal = Series("a", StreamSpec((1,), rate_hz=1.0), NS * np.arange(1, 4), np.zeros((3, 1)))
+    write_recording(tmp_path / "s.mcap", [signal], {"graph": ""})
+    written: list[int] = []
+    add = Marks.add
+
+    def counted(marks: Marks, new: list[tuple[int, str]]) -> None:
+        written.append(len(new))
+        add(marks, new)
+
+    monkeypatch.setattr(Marks, "add", counted)
+
+    async def mark_quickly(hub: RecordingHub) -> None:
+        client = hub.visitor()
+        for k in range(3000):
+            hub.take(client, Mark(f"{k}", k / 3000))
+        await hub.close()
+
+    with Recording.open(tmp_path / "s.mcap") as opened:
+        asyncio.run(mark_quickly(RecordingHub(opened)))
+    assert sum(written) == 3000 and len(written) <= 2
+    assert len(Marks(tmp_path / "s.mcap").read()[0]) == 3000
+
+
+def test_marks_beyond_the_limit_are_refused_and_the_others_kept(tmp_path: Path) -> None:
+    marks = Marks(tmp_path)
+    with pytest.raises(KinegraphError, match="takes no more"):
+        marks.add([(k, "x") for k in range(MOST_MARKS + 1)])
+    assert len(Marks(tmp_path).read()[0]) == MOST_MARKS
+
+
 def test_marks_come_back_in_the_order_of_time(tmp_path: Path) -> None:
     marks = Marks(tmp_path)
     for onset, text in ((5, "later"), (3, "früher"), (5, "later")):
-        marks.add(onset, text)
+        marks.add([(onset, text)])
     time, data = Marks(tmp_path).read()
     assert time.tolist() == [3, 5, 5]
     assert data["text"].tolist() == ["früher", "later", "later"]
@@ -100,7 +137,7 @@ def test_there_is_an_end_to_marks(tmp_path: Path) -> None:
     )
     marks = Marks(tmp_path)
     with pytest.raises(KinegraphError, match="no more"):
-        marks.add(0, "y")
+        marks.add([(0, "y")])
     assert len(marks.read()[0]) == MOST_MARKS and np.all(np.diff(marks.read()[0]) >= 0)
 
 

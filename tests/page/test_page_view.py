@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devices.outlets.page.marks import MARKS
 from devices.outlets.page.pyramid import Pyramid
 from devices.outlets.page.viewing import RecordingHub
 from devices.outlets.page.wire import Look, decode
@@ -84,13 +85,14 @@ def test_a_pyramid_holds_the_least_and_the_greatest_value_of_every_piece_and_the
     pyramid = Pyramid(SIGNAL, int(time[0]), int(time[-1]), pieces=900)
     pyramid.build(chunks, shares.append)
     piece = (time - time[0]) // pyramid.width
-    for number in range(len(pyramid.low)):
+    for number in range(pyramid.count):
         rows = data[piece == number].astype(np.float32)
         if len(rows):
-            assert np.array_equal(pyramid.low[number], rows.min(axis=0))
-            assert np.array_equal(pyramid.high[number], rows.max(axis=0))
+            held = pyramid.pieces.tolist().index(number)
+            assert np.array_equal(pyramid.low[held], rows.min(axis=0))
+            assert np.array_equal(pyramid.high[held], rows.max(axis=0))
         else:
-            assert np.isnan(pyramid.low[number]).all()
+            assert number not in pyramid.pieces
     assert [(round((a - START) / NS, 2), round((b - START) / NS, 2)) for a, b in pyramid.gaps] == [(25.0, 26.0)]
     assert shares == sorted(shares)
 
@@ -218,6 +220,57 @@ def test_a_registered_package_brings_its_panels_to_a_recording(tmp_path: Path, m
             "missing": [],
         }
         assert [*hub.modules] == ["dial"]
+
+
+def test_a_view_from_afar_takes_no_more_memory_than_its_samples(tmp_path: Path) -> None:
+    wide = StreamSpec((60_000,), np.dtype("<f4"))
+    stamps = np.array([START, START + 3600 * NS])
+    write_recording(tmp_path / "s.mcap", [Series("wide", wide, stamps, np.ones((2, 60_000), "<f4"))], {"graph": ""})
+    with Recording.open(tmp_path / "s.mcap") as opened:
+        hub = RecordingHub(opened)
+        hub.build(lambda message: None)
+        pyramid = hub.pyramids[0]
+        assert pyramid.low.shape == (2, 60_000)
+        made = hub.seen(0, look(-1, 3601, 0, points=10_000))
+    assert made and len(made) < 10 * 2 * 60_000 * 4
+
+
+def test_a_view_from_afar_of_many_channels_and_many_moments_is_bounded() -> None:
+    spec = StreamSpec((1000,), np.dtype("<f4"))
+    time = START + np.arange(2000) * NS
+    pyramid = Pyramid(spec, int(time[0]), int(time[-1]), most=100_000)
+    pyramid.build([Chunk(time, np.zeros((2000, 1000), "<f4"), int(time[-1]))], lambda share: None)
+    assert pyramid.low.size <= 101_000
+
+
+def test_a_look_that_would_read_too_much_shows_what_is_seen_from_afar(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("devices.outlets.page.reading.MOST_READ", 3000)
+    with Recording.open(recording) as opened:
+        hub = RecordingHub(opened)
+        hub.build(lambda message: None)
+        pyramid = hub.pyramids[hub.names.index("emg")]
+        made = hub.seen(hub.names.index("emg"), look(0, 40, 20, points=10_000))
+    assert made and decode(made)[0]["w"] == pyramid.width / NS
+
+
+@pytest.mark.parametrize("rate_hz", [1e-300, 1e-12, 1e12, 1e300])
+def test_a_rate_that_no_stamps_can_have_is_refused(rate_hz: float) -> None:
+    with pytest.raises(ValueError, match="rate_hz is"):
+        StreamSpec((1,), rate_hz=rate_hz)
+
+
+def test_a_stream_with_stamps_that_run_backwards_is_left_out_with_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = recorded_by("", tmp_path / "s.mcap")
+    with Recording.open(path) as opened:
+        stream = opened.streams["board.emg"]
+        stream.first, stream.last = stream.last, stream.first
+        hub = RecordingHub(opened)
+    assert hub.names == [MARKS]
+    assert "run backwards" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("at", "value"), [(0.0, 1), (12.35, 13), (39.9, 40)])

@@ -65,6 +65,7 @@ def test_what_the_recorder_saw_is_what_a_pass_over_all_samples_sees(tmp_path: Pa
         assert overviews and source.first and source.last
         seen = Pyramid.seen(SPEC, overviews, source.first, source.last)
     expected = passed_over(path, seen.width, seen.first)
+    assert np.array_equal(seen.pieces, expected.pieces)
     assert np.array_equal(seen.low, expected.low, equal_nan=True)
     assert np.array_equal(seen.high, expected.high, equal_nan=True)
     if not rotate_mb:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +29,19 @@ class Marks:
         found = read_json(self.path, "a file of marks") if self.path.exists() else {"marks": []}
         try:
             self._marks = sorted((int(mark["onset_ns"]), str(mark["text"])[:MOST_TEXT]) for mark in found["marks"])
+            np.array([onset for onset, _ in self._marks], np.int64)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise KinegraphError(f"{self.path}: is not a file of marks ({error!r})") from None
 
-    def add(self, onset: int, text: str) -> None:
-        """Mark a moment (ns), and write the file. Raises KinegraphError where it cannot be written."""
-        if len(self._marks) >= MOST_MARKS:
+    def add(self, new: Sequence[tuple[int, str]]) -> None:
+        """Mark some moments (ns), and write the file once. Raises KinegraphError where it cannot be written, or has no room for all."""
+        room = MOST_MARKS - len(self._marks)
+        marks = sorted([*self._marks, *new[:room]])
+        if marks != self._marks:
+            write_json(self.path, {"marks": [{"onset_ns": onset, "text": text} for onset, text in marks]})
+            self._marks = marks
+        if len(new) > room:
             raise KinegraphError(f"{self.path}: holds {MOST_MARKS} marks, and takes no more")
-        marks = sorted([*self._marks, (onset, text)])
-        write_json(self.path, {"marks": [{"onset_ns": onset, "text": text} for onset, text in marks]})
-        self._marks = marks
 
     def read(self) -> tuple[Times, Array]:
         """Stamps (n,) and events (n,), as of the stream `annotations`."""

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from threading import Lock
+from typing import Any
 
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
 from devices.outlets.page import messages
 from devices.outlets.page.hub import CURVES
 from devices.outlets.page.marks import MARKS, SPEC, Marks
-from devices.outlets.page.pyramid import Pyramid
-from devices.outlets.page.shown import kind_of
-from devices.outlets.page.spectra import MOST_VALUES, analysed
+from devices.outlets.page.pyramid import MOST_VALUES, Pyramid
+from devices.outlets.page.shown import described, kind_of
+from devices.outlets.page.spectra import MOST_VALUES as MOST_ANALYSED
+from devices.outlets.page.spectra import analysed
 from devices.outlets.page.thin import as_rows, breaks, thinned
 from devices.outlets.page.wire import Analyse, Look, encode
+from stream.bounded import reading
 from stream.chunk import NS, Array, Samples, StreamSpec, Times
+from stream.errors import KinegraphError, RecordingError
 from stream.recording import Recording
 from stream.recording.recorded_stream import RecordedStream
+
+log = structlog.get_logger(__name__)
 
 CURVES_S = 10
 """So far back a curve of every channel is looked for."""
@@ -27,7 +34,29 @@ EVENTS_BEFORE = 200
 MOST_MOMENTS = 2000
 """Of more events of a stream the time line shows this many of the moments at which there is one."""
 MOST_RAW = 400_000
-"""More values than this are not read from the file for one look."""
+"""More values than this are not read from the file for one look before there is a pyramid."""
+MOST_READ = 1 << 24
+"""And never more than this."""
+MOST_PYRAMIDS = 1 << 25
+"""Values of all pyramids together."""
+MOST_STAMP = 1 << 62
+"""Stamps beyond it are no times."""
+
+
+def _described(recording: Recording, name: str, stream: RecordedStream) -> dict[str, Any] | None:
+    """A stream for the page; None where there is nothing to draw. The terminal shows a warning where a stranger's stream cannot be drawn."""
+    if stream.kept == "outline" or stream.first is None or stream.last is None:
+        return None
+    try:
+        with reading(recording.path, "a recording"):
+            if not kind_of(stream.spec):
+                return None
+            if not -MOST_STAMP < stream.first <= stream.last < MOST_STAMP:
+                raise RecordingError("its stamps run backwards, or are no times")
+            return described(name, stream.spec)
+    except KinegraphError as error:
+        log.warning("a stream is not shown", stream=name, error=str(error))
+        return None
 
 
 class RecordedViews:
@@ -35,11 +64,12 @@ class RecordedViews:
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
-        streams = {
-            n: s
-            for n, s in recording.streams.items()
-            if s.kept != "outline" and s.first is not None and kind_of(s.spec) and n != MARKS
-        }
+        self.described = {
+            name: about
+            for name, stream in recording.streams.items()
+            if name != MARKS and (about := _described(recording, name, stream))
+        } | {MARKS: described(MARKS, SPEC)}
+        streams = {name: recording.streams[name] for name in self.described if name != MARKS}
         self.marks = Marks(recording.path)
         self._marks_at = len(streams)
         self.names, self._streams = [*streams, MARKS], [*streams.values(), RecordedStream(SPEC, "edge")]
@@ -52,6 +82,11 @@ class RecordedViews:
         self._reading = Lock()
         self.whole = False
         """Whether all gaps are known."""
+
+    def read(self, make: Callable[[], bytes | None]) -> bytes | None:
+        """What `make` reads of the recording. Raises KinegraphError for whatever a damaged file brings up."""
+        with reading(self.recording.path, "a recording"), np.errstate(all="ignore"):
+            return make()
 
     def seen(self, stream: int, look: Look) -> bytes | None:
         """One stream of a look, as a message."""
@@ -67,39 +102,51 @@ class RecordedViews:
     def _signal(self, stream: int, spec: StreamSpec, begin: int, end: int, points: int) -> bytes | None:
         width = (end - begin) // points
         pyramid = self.pyramids.get(stream)
-        if pyramid and width >= pyramid.width:
-            curve = pyramid.curve(begin, end, width)
-            return messages.signal(
-                stream, curve, pyramid.width * max(1, round(width / pyramid.width)), self.begin, fresh=True
-            )
-        if (spec.rate_hz or 100.0) * (end - begin) / NS * spec.shape[0] > MOST_RAW and not pyramid:
-            return None
-        time, data, broken = self._read(stream, spec, begin, end)
+        found = None
+        if not pyramid or width < pyramid.width:
+            if (spec.rate_hz or 100.0) * (end - begin) / NS * spec.shape[0] > MOST_RAW and not pyramid:
+                return None
+            found = self._read(stream, spec, begin, end)
+        if found is None:
+            return pyramid and self._from_afar(stream, pyramid, begin, end, width)
+        time, data, broken = found
         width = 0 if len(time) <= 2 * points else width
         return messages.signal(stream, thinned(time, data, broken, width), width, self.begin, fresh=True)
 
-    def _read(self, stream: int, spec: StreamSpec, begin: int, end: int) -> tuple[Times, Samples, NDArray[np.bool_]]:
-        """A signal's samples between two times (ns), and before which of them something is missing."""
-        times, rows, torn = [np.empty(0, np.int64)], [np.empty((0, spec.shape[0]))], [np.zeros(0, np.bool_)]
-        before = None
+    def _from_afar(self, stream: int, pyramid: Pyramid, begin: int, end: int, width: int) -> bytes:
+        curve = pyramid.curve(begin, end, width)
+        wide = pyramid.width * max(1, round(width / pyramid.width))
+        return messages.signal(stream, curve, wide, self.begin, fresh=True)
+
+    def _read(
+        self, stream: int, spec: StreamSpec, begin: int, end: int
+    ) -> tuple[Times, Samples, NDArray[np.bool_]] | None:
+        """A signal's samples between two times (ns), and before which of them something is missing; None where they are too many."""
+        times, rows, torn = [np.empty(0, np.int64)], [np.empty((0, spec.shape[0]), spec.dtype)], [np.zeros(0, np.bool_)]
+        before, count = None, 0
         for chunk in self.recording.chunks_from(self.names[stream], begin):
             if len(chunk.time) and chunk.time[0] > end:
                 break
-            torn.append(breaks(chunk.time, chunk.lost, before, spec.period_ns))
+            part = slice(*np.searchsorted(chunk.time, [begin, end]))
+            torn.append(breaks(chunk.time, chunk.lost, before, spec.period_ns)[part])
             before = int(chunk.time[-1]) if len(chunk.time) else before
-            times.append(chunk.time)
-            rows.append(as_rows(chunk.data).astype(np.float64))
-        time, data, broken = np.concatenate(times), np.concatenate(rows), np.concatenate(torn)
-        part = slice(*np.searchsorted(time, [begin, end]))
-        return time[part], data[part], broken[part]
+            times.append(chunk.time[part])
+            rows.append(as_rows(chunk.data)[part])
+            count += rows[-1].size
+            if count > MOST_READ:
+                return None
+        return np.concatenate(times), np.concatenate(rows).astype(np.float64), np.concatenate(torn)
 
     def analysed(self, stream: int, asked: Analyse) -> bytes:
         """A spectrum or a spectrogram, as a message; of too long a span its end."""
         spec = self.specs[stream]
         begin, end = (self.begin + round(at * NS) for at in (asked.begin, asked.end))
-        longest = round(MOST_VALUES / (spec.rate_hz or 1.0) / spec.shape[0] * NS)
+        longest = round(MOST_ANALYSED / (spec.rate_hz or 1.0) / spec.shape[0] * NS)
         with self._reading:
-            time, data, _ = self._read(stream, spec, max(begin, end - longest), end)
+            found = self._read(stream, spec, max(begin, end - longest), end)
+        if found is None:
+            raise RecordingError(f"{self.names[stream]!r} holds more samples there than its rate allows")
+        time, data, _ = found
         return analysed(stream, spec, asked, time, data, self.begin)
 
     def _some_events(self, stream: int, spec: StreamSpec, begin: int, end: int) -> bytes:
@@ -126,23 +173,32 @@ class RecordedViews:
 
     def build(self, told: Callable[[bytes], None]) -> None:
         """Have a pyramid of every signal: the recorder's, or one made in a pass over all its samples. Reports progress and
-        the gaps that were found; called on a thread of its own."""
+        the gaps that were found; called on a thread of its own. Of a damaged recording it reports why there is no more to see."""
+        try:
+            with reading(self.recording.path, "a recording"), np.errstate(all="ignore"):
+                self._build(told)
+        except KinegraphError as error:
+            log.warning("cannot be seen as a whole", error=str(error))
+            told(encode({"t": "progress", "share": 1, "what": f"cannot be seen as a whole: {error}"}))
+
+    def _build(self, told: Callable[[bytes], None]) -> None:
         signals = [
             i for i, spec in enumerate(self.specs) if kind_of(spec) == "signal" and self._streams[i].first is not None
         ]
+        most = min(MOST_VALUES, MOST_PYRAMIDS // max(len(signals), 1))
         with Recording.open(self.recording.path) as own:
             for stream in signals:
                 source = self._streams[stream]
                 if overviews := own.overviews(self.names[stream]):
                     self.pyramids[stream] = Pyramid.seen(
-                        self.specs[stream], overviews, source.first or 0, source.last or 0
+                        self.specs[stream], overviews, source.first or 0, source.last or 0, most
                     )
                     told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
             self._find_moments(own, told)
         signals = [stream for stream in signals if stream not in self.pyramids]
         for done, stream in enumerate(signals):
             source = self._streams[stream]
-            pyramid = Pyramid(self.specs[stream], source.first or 0, source.last or 0)
+            pyramid = Pyramid(self.specs[stream], source.first or 0, source.last or 0, most=most)
             shown = -1
 
             def progress(share: float, done: int = done) -> None:
@@ -162,14 +218,21 @@ class RecordedViews:
         """When there were events, for the time line (s)."""
         for stream, spec in enumerate(self.specs):
             if kind_of(spec) == "events" and stream != self._marks_at:
-                time, data = own.read(self.names[stream])
-                onset = data["onset"] if "onset" in (spec.dtype.names or ()) else time
-                at = (np.clip(onset.astype(np.int64), self.begin, self.end) - self.begin) / NS
+                found: dict[float, float] = {}
                 piece = max((self.end - self.begin) / NS / MOST_MOMENTS, 1e-9)
-                first = np.unique(np.floor(at / piece), return_index=True)[1]
-                self.moments[stream] = at[first].tolist()
+                for chunk in own.chunks(self.names[stream]):
+                    onset = chunk.data["onset"] if _has_onset(spec) else chunk.time
+                    at = (np.clip(onset.astype(np.int64), self.begin, self.end) - self.begin) / NS
+                    pieces, first = np.unique(np.floor(at / piece), return_index=True)
+                    found = dict(zip(pieces.tolist(), at[first].tolist(), strict=True)) | found
+                self.moments[stream] = [found[k] for k in sorted(found)]
                 told(encode({"t": "moments", "s": stream, "at": self.moments[stream]}))
 
     def _gaps(self, stream: int) -> list[list[float]]:
         pyramid = self.pyramids.get(stream)
         return [[(a - self.begin) / NS, (b - self.begin) / NS] for a, b in pyramid.gaps] if pyramid else []
+
+
+def _has_onset(spec: StreamSpec) -> bool:
+    names = spec.dtype.names or ()
+    return "onset" in names and not spec.dtype["onset"].shape and spec.dtype["onset"].kind in "iuf"

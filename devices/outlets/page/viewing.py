@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any
 
 import structlog
@@ -12,7 +13,7 @@ from devices.outlets.page import messages
 from devices.outlets.page.hub import Looking, check_analysis
 from devices.outlets.page.marks import MARKS, SPEC, shown_with
 from devices.outlets.page.reading import RecordedViews
-from devices.outlets.page.shown import described, own_modules, recorded_panels, with_avatar
+from devices.outlets.page.shown import own_modules, recorded_panels, with_avatar
 from devices.outlets.page.wire import Analyse, Asked, Look, Mark, encode
 from stream.chunk import NS
 from stream.errors import KinegraphError
@@ -42,15 +43,31 @@ class RecordingHub(RecordedViews):
     def __init__(self, recording: Recording, *, asks_avatar: bool = False) -> None:
         super().__init__(recording)
         self._asks_avatar = asks_avatar
-        self._page = (
-            self._read_page()
-        )  # once and before anybody looks: it takes seconds where the text is made for that
+        self._page = self._read_page()  # once, before anybody looks: it takes seconds where the text is made for that
+        self._panels = self._arranged()
+        session = recording.header.get("session")
+        self._session = {str(k): str(v) for k, v in session.items()} if isinstance(session, dict) else {}
+        self._new_marks: list[tuple[int, str]] = []
+        self._keeping: asyncio.Task[None] | None = None
         self.clients: set[Looking] = set()
 
     def visitor(self) -> Looking:
         return Visitor()
 
     def greeting(self) -> bytes:
+        spans = [
+            [(s.first or 0) / NS - self.begin / NS, (s.last or 0) / NS - self.begin / NS, s.gaps] for s in self._streams
+        ]
+        return encode({
+            "t": "hello", "v": 1, "name": self.recording.path.name, "mode": "recording", "t0_ms": self.begin / 1e6,
+            "session": self._session,
+            "streams": [*self.described.values()], "nodes": [], "edges": [], "values": [], "words": [],
+            "panels": self._panels, "length_s": (self.end - self.begin) / NS, "spans": spans, "whole": self.whole,
+            "gaps": [self._gaps(i) for i in range(len(self.names))],
+            "moments": [self.moments.get(i) for i in range(len(self.names))],
+        })  # fmt: skip
+
+    def _arranged(self) -> list[dict[str, Any]]:
         specs = dict(zip(self.names, self.specs, strict=True))
         live = ("graph", "state", "log")
         panels = [panel for panel in recorded_panels(self._page, specs) if panel["kind"] not in live]
@@ -59,17 +76,7 @@ class RecordingHub(RecordedViews):
             panel["missing"] = [
                 name for name in panel.get("missing", ()) if name not in self.recording.streams and name != MARKS
             ]
-        spans = [
-            [(s.first or 0) / NS - self.begin / NS, (s.last or 0) / NS - self.begin / NS, s.gaps] for s in self._streams
-        ]
-        return encode({
-            "t": "hello", "v": 1, "name": self.recording.path.name, "mode": "recording", "t0_ms": self.begin / 1e6,
-            "session": {str(k): str(v) for k, v in (self.recording.header.get("session") or {}).items()},
-            "streams": [described(name, spec) for name, spec in specs.items()], "nodes": [], "edges": [], "values": [], "words": [],
-            "panels": panels, "length_s": (self.end - self.begin) / NS, "spans": spans, "whole": self.whole,
-            "gaps": [self._gaps(i) for i in range(len(self.names))],
-            "moments": [self.moments.get(i) for i in range(len(self.names))],
-        })  # fmt: skip
+        return panels
 
     @cached_property
     def modules(self) -> dict[str, str]:
@@ -109,39 +116,54 @@ class RecordingHub(RecordedViews):
             client.task = asyncio.create_task(self._serve(client))
 
     def _mark(self, text: str, onset: int) -> None:
-        """Keep a mark, and show it to all who look; if it cannot be kept, say why."""
-        try:
-            self.marks.add(onset, text)
-        except KinegraphError as error:
-            log.warning("not marked", error=str(error))
-            self.tell(encode({"t": "progress", "share": 0, "what": f"not marked: {error}"}))
-            return
-        time, data = self.marks.read()
-        self.tell(messages.events(self._marks_at, 0, SPEC, time, data, self.begin, fresh=True))
+        """Keep a mark. Those that come while the file is being written are written together."""
+        self._new_marks.append((onset, text))
+        if self._keeping is None or self._keeping.done():
+            self._keeping = asyncio.create_task(self._keep_marks())
+
+    async def _keep_marks(self) -> None:
+        """Write the marks that wait, and show them to all who look; if they cannot be kept, say why."""
+        while self._new_marks:
+            new, self._new_marks = self._new_marks, []
+            try:
+                await asyncio.to_thread(self.marks.add, new)
+            except KinegraphError as error:
+                log.warning("not marked", error=str(error))
+                self.tell(encode({"t": "progress", "share": 0, "what": f"not marked: {error}"}))
+            time, data = self.marks.read()
+            self.tell(messages.events(self._marks_at, 0, SPEC, time, data, self.begin, fresh=True))
+
+    async def close(self) -> None:
+        """Wait until all marks are written."""
+        if self._keeping:
+            await self._keeping
 
     async def _serve(self, client: Visitor) -> None:
         """Make what the client looks at; of looks that came meanwhile only the last counts."""
         try:
             while client.look is not None or client.analyses:
                 while client.analyses:
-                    client.outbox.append(await asyncio.to_thread(self.analysed, *client.analyses.popitem()))
-                    client.news.set()
+                    await self._make(client, partial(self.analysed, *client.analyses.popitem()))
                 look, client.look = client.look, None
                 if look is None:
                     continue
                 for stream in look.streams:
-                    made = await asyncio.to_thread(self.seen, stream, look)
-                    if made:
-                        client.outbox.append(made)
-                        client.news.set()
+                    await self._make(client, partial(self.seen, stream, look))
                 client.outbox.append(encode({"t": "looked", "at": look.at}))
                 client.news.set()
-        except Exception as error:  # the page stands still, so it says why
-            log.exception("what a client looks at cannot be shown")
-            client.outbox.append(encode({"t": "progress", "share": 0, "what": f"cannot be shown: {error}"}))
-            client.news.set()
         finally:
             client.busy = False
+
+    async def _make(self, client: Visitor, make: Callable[[], bytes | None]) -> None:
+        """One message for a client; what cannot be shown is a line on its page."""
+        try:
+            made = await asyncio.to_thread(self.read, make)
+        except KinegraphError as error:
+            log.warning("cannot be shown", error=str(error))
+            made = encode({"t": "progress", "share": 0, "what": f"cannot be shown: {error}"})
+        if made:
+            client.outbox.append(made)
+            client.news.set()
 
     def news_for(self, client: Looking) -> list[bytes]:
         assert isinstance(client, Visitor)
