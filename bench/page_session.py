@@ -120,7 +120,8 @@ def session(folder: Path, graph: str, *, page: bool) -> Iterator[tuple[subproces
     command = [sys.executable, "-m", "stream", "run", str(folder / "g.yaml"), "--no-record", "--view", "none"]
     environment = {**os.environ, "PYTHONPATH": str(HOUSE)}
     with log.open("wb") as said, subprocess.Popen(
-        [*command, *(["--page-at", ":0"] if page else [])], cwd=folder, stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=environment
+        [*command, *(["--page-at", ":0", "--no-token"] if page else [])],
+        cwd=folder, stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=environment,
     ) as process:  # fmt: skip
         try:
             found, begun = None, folder / "ages.begun"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stream.commands.page_options import PageAt, PageCertificate, PageFor, PageKey
+from stream.commands.page_options import NoToken, PageAt, PageCertificate, PageFor, PageKey
 from stream.errors import KinegraphError
 from stream.plain import say
 
@@ -34,6 +34,7 @@ def map_(
     page_at: PageAt = "",
     page_certificate: PageCertificate = "",
     page_key: PageKey = "",
+    no_token: NoToken = False,
     duration_s: PageFor = 0.0,
 ) -> None:
     """Explore recorded motion on a map, in a browser.
@@ -52,7 +53,7 @@ def map_(
     from stream.motion_index import MotionIndex
 
     logs.set_up()
-    address = parsed(page_at, page_certificate, page_key)
+    address = parsed(page_at, page_certificate, page_key, no_token=no_token)
     address.check()
     refuse_unbuilt()
     kept = recordings[0] if len(recordings) == 1 and recordings[0].suffix == ".npz" else None

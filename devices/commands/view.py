@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.commands.page_options import PageAt, PageAvatar, PageCertificate, PageFor, PageKey
+from stream.commands.page_options import NoToken, PageAt, PageAvatar, PageCertificate, PageFor, PageKey
 from stream.plain import say
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def view(
     page_at: PageAt = "",
     page_certificate: PageCertificate = "",
     page_key: PageKey = "",
+    no_token: NoToken = False,
     avatar: PageAvatar = None,
     duration_s: PageFor = 0.0,
 ) -> None:
@@ -43,7 +44,7 @@ def view(
     from stream.recording import Recording
 
     logs.set_up()
-    address = parsed(page_at, page_certificate, page_key)
+    address = parsed(page_at, page_certificate, page_key, no_token=no_token)
     address.check()
     refuse_unbuilt()
     shown = checked_avatar(avatar).read_bytes()

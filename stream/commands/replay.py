@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stream.commands.graph_options import GraphFile, Quiet, Settings, TrustedOnly
-from stream.commands.page_options import PageAt, PageAvatar
+from stream.commands.page_options import NoToken, PageAt, PageAvatar
 from stream.errors import KinegraphError, nearest
 from stream.plain import say
 
@@ -49,6 +49,7 @@ def replay(
         typer.Option("--page", help="show the replay in a browser, at --speed 1 unless it is said; prints the address"),
     ] = False,
     page_at: PageAt = "",
+    no_token: NoToken = False,
     avatar: PageAvatar = None,
     quiet: Quiet = False,
     trusted_only: TrustedOnly = False,
@@ -76,7 +77,11 @@ def replay(
 
         graph = graph_again(quiet)
         speaking = _speaking(graph, speak or [])
-        shown = page_of(graph, page_at, mode="replay", avatar=avatar) if page or page_at or avatar else None
+        shown = (
+            page_of(graph, page_at, mode="replay", avatar=avatar, no_token=no_token)
+            if page or page_at or avatar
+            else None
+        )
         pace = Pace(speed or 1.0, forwards_only=out is not None) if shown else speed or None
 
         def replay_of(graph: Graph) -> Replay:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from stream.commands.graph_options import GraphFile, Settings, TrustedOnly
-from stream.commands.page_options import PageAt, PageAvatar, PageCertificate, PageKey
+from stream.commands.page_options import NoToken, PageAt, PageAvatar, PageCertificate, PageKey
 from stream.entry import loaded
 from stream.errors import KinegraphError, RecordingError
 from stream.plain import say
@@ -54,6 +54,7 @@ def run(
     page_at: PageAt = "",
     page_certificate: PageCertificate = "",
     page_key: PageKey = "",
+    no_token: NoToken = False,
     avatar: PageAvatar = None,
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="serve the session to Foxglove on this machine (extra `foxglove`)")
@@ -89,7 +90,7 @@ def run(
     if folder and not resume:
         refuse_taken_folder(folder)
     asked = page or page_at or avatar or graph.page.serve
-    pages = [page_of(graph, page_at, page_certificate, page_key, avatar=avatar)] if asked else []
+    pages = [page_of(graph, page_at, page_certificate, page_key, avatar=avatar, no_token=no_token)] if asked else []
     pages += [page_of(graph, name="foxglove")] if foxglove else []
     conduct(graph, folder, resume=resume, duration_s=duration_s, view=view, simulate=simulate, pages=pages)
 
@@ -172,7 +173,7 @@ def _screen(view: str, graph: Any) -> Any:
     raise KinegraphError(f"there is no view {view!r}; valid are auto, {names}")
 
 
-def page_of(graph: Graph, *address: str, name: str = "page", **more: str | Path | None) -> Any:
+def page_of(graph: Graph, *address: str, name: str = "page", **more: str | Path | bool | None) -> Any:
     """The page of a graph; it comes from the entry-point group `kinegraph.pages`. Raises KinegraphError where there is none."""
     for entry in entry_points(group="kinegraph.pages", name=name):
         return loaded(entry, "page")(graph, *address, **more)

@@ -24,7 +24,7 @@ HOUSE = Path(__file__).resolve().parents[2]
 README = (HOUSE / "README.md").read_text(encoding="utf-8")
 PROGRAMS = Path(sys.executable).parent
 SECONDS, LOST_S = 14, 6.0
-ADDRESS = re.compile(r"page: (http://[\d.]+:\d+/)")
+ADDRESS = re.compile(r"page: (http://[\d.]+:\d+/\S*)")
 VIEW = re.compile(r"its recording in a browser: +(\S+/kinegraph view (recordings/treadmill_emg-\S+))$", re.MULTILINE)
 REPLAY = re.compile(
     r"the session again, with your marks: +(\S+/kinegraph replay \S+ recordings/treadmill_emg-\S+ --page)\s*$"

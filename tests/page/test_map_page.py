@@ -401,7 +401,7 @@ def test_a_person_finds_the_lame_one_of_two_real_trots(browser: LiveBrowser, tmp
 def test_a_drag_is_answered_at_once(served: PageProcess) -> None:
     """R11: where ten sequences stand at another time, at the WebSocket, within the 33 ms of a frame; the bench has a million poses."""
     took = []
-    with connect(served.url.replace("http", "ws", 1) + "socket", max_size=None, compression=None) as client:
+    with connect(served.at("socket").replace("http", "ws", 1), max_size=None, compression=None) as client:
         for at in range(60):
             asked = time.perf_counter()
             client.send(json.dumps({"do": "frames", "numbers": [400 * k + 5 * at for k in range(10)], "ask": 1}))
@@ -417,7 +417,7 @@ def test_bad_wishes_end_the_connection(served: PageProcess) -> None:
         '{"do": "near", "first": 0, "last": 1, "count": 1e9}',
         '{"do": "mark", "text": "x"}',
     ):
-        with connect(served.url.replace("http", "ws", 1) + "socket", max_size=None, compression=None) as client:
+        with connect(served.at("socket").replace("http", "ws", 1), max_size=None, compression=None) as client:
             assert decode(client.recv(timeout=PATIENCE_S))[0]["t"] == "hello"
             client.send(wish)
             with pytest.raises(Exception, match="1008"):

@@ -67,8 +67,9 @@ def verified(folder: Path) -> None:
 def answer(process: PageProcess, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
     """What the server answers to a request."""
     place = urlsplit(process.url)
-    connection = http.client.HTTPConnection(str(place.hostname), place.port or 0, timeout=20)
-    connection.request("GET", path, headers=headers)
+    connection = http.client.HTTPConnection("127.0.0.1", place.port or 0, timeout=20)
+    cookie = f"kinegraph-{place.port}={place.query.removeprefix('token=')}"
+    connection.request("GET", path, headers={"Cookie": cookie, **headers})
     told = connection.getresponse()
     return told.status, {name.lower(): value for name, value in told.getheaders()}, told.read()
 
@@ -265,9 +266,9 @@ def test_a_page_with_a_certificate_is_encrypted(tmp_path: Path) -> None:
     with page_process(tmp_path, "run", "small.yaml", "--view", "none", "--no-record", *given) as process:
         assert process.url.startswith("https://127.0.0.1:")
         trusted = ssl.create_default_context(cafile=certificate)
-        with connect(process.url.replace("https", "wss", 1) + "socket", ssl=trusted) as client:
+        with connect(process.at("socket").replace("https", "wss", 1), ssl=trusted) as client:
             until(client, "hello")
-        with pytest.raises(ssl.SSLCertVerificationError), connect(process.url.replace("https", "wss", 1) + "socket"):
+        with pytest.raises(ssl.SSLCertVerificationError), connect(process.at("socket").replace("https", "wss", 1)):
             pass
 
 
@@ -323,17 +324,19 @@ def test_pictures_that_are_not_recorded_are_shown_to_nobody_outside(tmp_path: Pa
                         client.recv(timeout=20)
 
 
-def test_outside_loopback_the_address_has_a_token(tmp_path: Path) -> None:
+@pytest.mark.parametrize("at", ["127.0.0.1:0", "0.0.0.0:0"])
+def test_the_address_has_a_token_and_a_cookie_takes_over(tmp_path: Path, at: str) -> None:
     (tmp_path / "small.yaml").write_text(SMALL)
-    with page_process(tmp_path, "run", "small.yaml", "--view", "none", "--no-record", at="0.0.0.0:0") as process:
+    with page_process(tmp_path, "run", "small.yaml", "--view", "none", "--no-record", at=at) as process:
         place = urlsplit(process.url)
-        assert place.query.startswith("token=")
-        assert answer(process, "/")[0] == 403
-        assert answer(process, "/metrics")[0] == 403
-        status, headers, _ = answer(process, f"/?{place.query}")
-        assert status == 200
+        assert place.query.startswith("token=") and place.hostname != "0.0.0.0"
+        assert answer(process, "/", Cookie="")[0] == 403
+        assert answer(process, "/metrics", Cookie="")[0] == 403
+        status, headers, _ = answer(process, f"/?{place.query}", Cookie="")
+        assert (status, headers["location"]) == (303, "./")
         cookie = headers["set-cookie"].partition(";")[0]
-        assert "HttpOnly" in headers["set-cookie"]
+        assert "HttpOnly" in headers["set-cookie"] and "Secure" not in headers["set-cookie"]
+        assert answer(process, "/", Cookie=cookie)[0] == 200
         assert answer(process, "/page.js", Cookie=cookie)[0] == 200
         with pytest.raises(InvalidStatus, match="403"), connect(f"ws://127.0.0.1:{place.port}/socket"):
             pass

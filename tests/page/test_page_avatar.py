@@ -140,11 +140,11 @@ def test_an_avatar_stands_as_the_pose_says(own: bool, recorded: Path, browser: L
         if not own:
             browser.picture(tmp_path / "page-avatar.png", ".avatar")
         assert browser.complaints == []
-        with urlopen(process.url + "avatar.vrm", timeout=10) as told:
+        with urlopen(process.at("avatar.vrm"), timeout=10) as told:
             assert told.read() == avatar.read_bytes()
         for path in ("other.vrm", "avatar.vrm/../me.vrm", "me.vrm"):
             with pytest.raises(HTTPError, match="404"):
-                urlopen(process.url + path, timeout=10)
+                urlopen(process.at(path), timeout=10)
 
 
 def test_the_mannequin_is_what_its_code_makes(tmp_path: Path) -> None:

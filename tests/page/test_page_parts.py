@@ -6,6 +6,7 @@ import re
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
 from devices.outlets.page import messages
 from devices.outlets.page.access import Access
-from devices.outlets.page.address import parsed
+from devices.outlets.page.address import Address, parsed
 from devices.outlets.page.channel import PageChannel, Portion
 from devices.outlets.page.history import History
 from devices.outlets.page.hub import Hub, Looking
@@ -169,19 +170,19 @@ def test_the_channel_keeps_a_gap_between_two_chunks_and_takes_nothing_that_nobod
 
 
 @pytest.mark.parametrize(
-    ("host", "token", "ours"),
+    ("host", "here", "ours"),
     [
-        ("127.0.0.1:7790", "", True),
-        ("localhost:7790", "", True),
-        ("[::1]:7790", "", True),
-        ("localhost:80", "", False),
-        ("evil.example:7790", "", False),
-        ("127.0.0.1.evil.example:7790", "", False),
-        ("lab.example:7790", "x", True),
+        ("127.0.0.1:7790", True, True),
+        ("localhost:7790", True, True),
+        ("[::1]:7790", True, True),
+        ("localhost:80", True, False),
+        ("evil.example:7790", True, False),
+        ("127.0.0.1.evil.example:7790", True, False),
+        ("lab.example:7790", False, True),
     ],
 )
-def test_a_name_that_merely_leads_here_is_refused_on_loopback(host: str, token: str, ours: bool) -> None:
-    assert Access(token, 7790).host_is_ours(host) is ours
+def test_a_name_that_merely_leads_here_is_refused_on_loopback(host: str, here: bool, ours: bool) -> None:
+    assert Access("x", 7790, here=here).host_is_ours(host) is ours
 
 
 @pytest.mark.parametrize(
@@ -203,22 +204,23 @@ def test_another_web_sites_page_is_refused(origin: str | None, ours: bool) -> No
     ("path", "cookie", "known"),
     [
         ("/?token=s3cret", "", True),
-        ("/", "kinegraph=s3cret", True),
+        ("/", "kinegraph-7790=s3cret", True),
         ("/", "", False),
         ("/?token=", "", False),
         ("/?token=S3cret", "", False),
-        ("/", "kinegraph=", False),
+        ("/", "kinegraph-7790=", False),
         ("/?token=%ff", "", False),
-        ("/", "a=b; kinegraph=s3cret", True),
+        ("/", "a=b; kinegraph-7790=s3cret", True),
         ("/?token=sécret", "\0;;=", False),
+        ("/", "kinegraph-7791=s3cret", False),
     ],
 )
-def test_outside_loopback_the_token_is_asked_for(path: str, cookie: str, known: bool) -> None:
+def test_the_token_is_asked_for(path: str, cookie: str, known: bool) -> None:
     assert Access("s3cret", 7790).knows_token(path, cookie) is known
 
 
 @pytest.mark.parametrize(
-    ("address", "host", "port", "token"),
+    ("address", "host", "port", "outside"),
     [
         ("", "127.0.0.1", 7790, False),
         (":8000", "127.0.0.1", 8000, False),
@@ -229,9 +231,26 @@ def test_outside_loopback_the_token_is_asked_for(path: str, cookie: str, known: 
         ("lab.example:1", "lab.example", 1, True),
     ],
 )
-def test_an_address_outside_this_machine_gets_a_token(address: str, host: str, port: int, token: bool) -> None:
+def test_every_address_gets_a_token_unless_it_is_of_this_machine_and_asks_for_none(
+    address: str, host: str, port: int, outside: bool
+) -> None:
     found = parsed(address)
-    assert (found.host, found.port, bool(found.token)) == (host, port, token)
+    assert (found.host, found.port, bool(found.token)) == (host, port, True)
+    if outside:
+        with pytest.raises(KinegraphError, match="--no-token"):
+            parsed(address, no_token=True)
+    else:
+        assert parsed(address, no_token=True).token == ""
+
+
+@pytest.mark.parametrize("everywhere", ["0.0.0.0", "::"])
+def test_the_printed_address_is_one_that_a_browser_can_open(everywhere: str) -> None:
+    host = urlsplit(Address(everywhere).url(7790)).hostname
+    assert host and host not in ("0.0.0.0", "::")
+
+
+def test_an_encrypted_pages_cookie_is_never_sent_in_the_clear() -> None:
+    assert "Secure" in Access("s3cret", 7790, True).cookie and "Secure" not in Access("s3cret", 7790).cookie
 
 
 @pytest.mark.parametrize("address", [":x", "a:-1", "a:70000", "a:"])

@@ -129,7 +129,7 @@ class Watched:
         call = [sys.executable, "-m", "tests.soak.process", str(self.switches), "run", str(self.graph), *settings]
         self._said, self._former = self.log.tell(), self._begun
         self._process = subprocess.Popen(
-            [*call, "-o", str(self.session), *resume, "--view", "none", "--page-at", ":0"],
+            [*call, "-o", str(self.session), *resume, "--view", "none", "--page-at", ":0", "--no-token"],
             cwd=self.folder,
             stdin=subprocess.DEVNULL,
             stdout=self.log,

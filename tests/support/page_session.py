@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit, urlunsplit
 
 import pytest
 from websockets.sync.client import ClientConnection, connect
@@ -48,6 +49,11 @@ class PageProcess:
             time.sleep(0.05)
         return found
 
+    def at(self, path: str) -> str:
+        """The address of another of its paths, with the token."""
+        place = urlsplit(self.url)
+        return urlunsplit(place._replace(path=f"/{path}"))
+
     def server(self) -> int:
         """The process that serves the page."""
         told = subprocess.run(
@@ -58,7 +64,7 @@ class PageProcess:
     def client(self, **options: Any) -> ClientConnection:
         """A client, connected."""
         return connect(
-            self.url.replace("http", "ws", 1) + "socket",
+            self.at("socket").replace("http", "ws", 1),
             max_size=None,
             compression=None,
             ping_interval=None,

@@ -40,16 +40,20 @@ def new_token() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """token   what a client must show; "": none, on loopback only
-    port       where the server listens
+    """token    what a client must show; "": none, on loopback only
+    port        where the server listens
+    encrypted   whether browsers must never send the cookie in the clear
+    here        whether only this machine reaches it
     """
 
     token: str
     port: int
+    encrypted: bool = False
+    here: bool = True
 
     def host_is_ours(self, host: str) -> bool:
         """Whether a request names us. On loopback a name that merely leads here is refused: it may be a web site's (DNS rebinding)."""
-        return bool(self.token) or host in {f"{name}:{self.port}" for name in LOOPBACK_NAMES}
+        return not self.here or host in {f"{name}:{self.port}" for name in LOOPBACK_NAMES}
 
     def origin_is_ours(self, origin: str | None, host: str) -> bool:
         """Whether the web page that opens a connection is our own; programs that are no browsers send no origin."""
@@ -64,10 +68,16 @@ class Access:
             jar = SimpleCookie(cookies)
         except CookieError:
             jar = SimpleCookie()
-        if COOKIE in jar:
-            shown.append(jar[COOKIE].value)
+        if self._name in jar:
+            shown.append(jar[self._name].value)
         return any(hmac.compare_digest(given.encode(), self.token.encode()) for given in shown)
 
     @property
+    def _name(self) -> str:
+        """Browsers send cookies to every port, so each page has one of its own."""
+        return f"{COOKIE}-{self.port}"
+
+    @property
     def cookie(self) -> str:
-        return f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+        """Lax, not strict: an address that was clicked on in another page leads here by way of a redirection."""
+        return f"{self._name}={self.token}; HttpOnly; SameSite=Lax; Path=/{'; Secure' if self.encrypted else ''}"

@@ -67,11 +67,12 @@ class LivePage:
         *,
         mode: str = "live",
         avatar: Path | None = None,
+        no_token: bool = False,
     ) -> None:
         """`address` is HOST, HOST:PORT or :PORT; `avatar` a VRM file that the graph's avatar gives way to. Raises KinegraphError where the
         page cannot be served."""
         self._graph, self._mode = graph, mode
-        self._address = parsed(address, certificate, key)
+        self._address = parsed(address, certificate, key, no_token=no_token)
         self._address.check()
         self.refuse_missing()
         self._avatar = checked_avatar(avatar or graph.page.avatar)

@@ -44,7 +44,7 @@ MOST_STAMP = 1 << 62
 
 
 def _described(recording: Recording, name: str, stream: RecordedStream) -> dict[str, Any] | None:
-    """A stream for the page; None where there is nothing to draw. The terminal shows a warning where a stranger's stream cannot be drawn."""
+    """A stream for the page; None where there is nothing to draw, or it cannot be drawn: then the terminal shows a warning."""
     if stream.kept == "outline" or stream.first is None or stream.last is None:
         return None
     try:

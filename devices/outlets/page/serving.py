@@ -18,7 +18,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from devices.outlets.page.access import HEADERS, Access
+from devices.outlets.page.access import HEADERS, Access, is_loopback
 from devices.outlets.page.hub import Looking
 from devices.outlets.page.wire import MOST_ASKED_BYTES, asked, encode
 from stream.errors import KinegraphError
@@ -92,7 +92,7 @@ class PageServer:
         except OSError:
             self._server = await self._listen(host, 0, tls)
         found: int = next(iter(self._server.sockets)).getsockname()[1]
-        self._access = Access(token, found)
+        self._access = Access(token, found, tls is not None, is_loopback(host))
         return found
 
     async def _listen(self, host: str, port: int, tls: ssl.SSLContext | None) -> Server:
@@ -113,7 +113,7 @@ class PageServer:
         if len(hosts) != 1 or not access.host_is_ours(hosts[0]) or len(origins) > 1:
             return _plain(HTTPStatus.FORBIDDEN, "this page is known by another address\n")
         if not access.knows_token(request.path, "; ".join(request.headers.get_all("Cookie"))):
-            return _plain(HTTPStatus.FORBIDDEN, "the address lacks the token that was printed with it\n")
+            return _plain(HTTPStatus.FORBIDDEN, "open the address that kinegraph printed: it holds a token\n")
         if path == SOCKET:
             ours = access.origin_is_ours(origins[0] if origins else None, hosts[0])
             full = len(self._shows.clients) >= MOST_CLIENTS
@@ -134,12 +134,15 @@ class PageServer:
             return _response(HTTPStatus.OK, "model/gltf-binary", self._avatar)
         if path not in self._files:
             return _plain(*NO_PAGE)
+        if (
+            access.token and path == "/" and "?" in request.path
+        ):  # the cookie takes over, and the token leaves the address
+            more = (("Location", "./"), ("Set-Cookie", access.cookie))
+            return _response(HTTPStatus.SEE_OTHER, "text/plain; charset=utf-8", b"", *more)
         if "gzip" in "".join(request.headers.get_all("Accept-Encoding")):
             response = _response(HTTPStatus.OK, self._files[path][1], self._packed[path], ("Content-Encoding", "gzip"))
         else:
             response = _response(HTTPStatus.OK, self._files[path][1], gzip.decompress(self._packed[path]))
-        if access.token and path == "/":
-            response.headers["Set-Cookie"] = access.cookie
         return response
 
     async def _meet(self, connection: ServerConnection) -> None:
