@@ -16,11 +16,9 @@ from stream.commands.graph_options import GraphFile, Settings, TrustedOnly
 from stream.errors import KinegraphError
 from stream.graph import Edge, Graph, Node, overrides
 from stream.graph.drawing import shown
-from stream.graph.load import load
+from stream.graph.load import load, read_expanded
 from stream.graph.parts import beside, import_from
 from stream.graph.plan import Decision, Plan, plan, refuse_late
-from stream.graph.shipped import resolve
-from stream.graph.yaml_lines import parse
 from stream.plain import say
 from stream.screen import Screen
 from stream.time_text import delay
@@ -64,8 +62,8 @@ def check(
 def _tell_beside(config: File) -> None:
     """Say, before it is done, which files beside the graph are run because it names them."""
     try:
-        nodes = parse(resolve(config).read_text(encoding="utf-8"), str(config)).items()["nodes"].items().values()
-    except (OSError, ValueError, KeyError, KinegraphError):
+        nodes = read_expanded(config).items()["nodes"].items().values()
+    except (KeyError, KinegraphError):
         return  # which loading it tells
     import_from(config.parent)
     named = [str(node.items()["use"].value) for node in nodes if "use" in node.items()]

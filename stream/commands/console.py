@@ -78,7 +78,7 @@ class Console:
     def _say(self, line: str) -> None:
         name, equals, value = line.partition("=")
         try:
-            if equals and name.strip().isidentifier():
+            if equals and all(word.isidentifier() for word in name.strip().split(".")):
                 self._session.tell(name.strip(), value.strip())
                 log.info("value set", node=name.strip(), value=value.strip())
             else:

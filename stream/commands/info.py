@@ -94,10 +94,11 @@ def clocks(recording: Recording) -> dict[str, dict[str, Any]]:
     settled_within_s: as far off stamps may be from before its drift was known, at the start and after each jump.
     """
     known: dict[str, dict[str, Any]] = {}
+    sources = {str(entry["node"]) for entry in recording.log if entry.get("node")}
     for entry in recording.metrics():
         for stream, row in entry["table"].items():
             if clock := row.get("clock"):
-                node = stream.partition(".")[0]
+                node = next((n for n in sources if stream == n or stream.startswith(f"{n}.")), stream.partition(".")[0])
                 before = known.get(node, {}).get("settled_within_s", 0.0)
                 now = clock["uncertainty_s"] if clock["settling"] else 0.0
                 known[node] = {**clock, "settled_within_s": max(before, now)}

@@ -64,7 +64,7 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
                 with blaming(node.name, "prepare"):
                     node.part.prepare()
             except ParameterError as error:
-                raise GraphError(str(error), path=graph.path, line=node.line, node=node.name) from None
+                raise GraphError(str(error), path=node.file or graph.path, line=node.line, node=node.name) from None
         if not isinstance(node.part, Operator) or node.is_outlet:
             continue
         try:
@@ -79,7 +79,7 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
             if stopped() or interruption(error):
                 raise interruption(error) or Interrupted() from None
             raise GraphError(
-                f"fails on samples made up to try it: {explain(error)}", path=graph.path, line=node.line, node=node.name
+                f"fails on samples made up to try it: {explain(error)}", path=node.file or graph.path, line=node.line, node=node.name
             ) from error
 
 
@@ -128,7 +128,7 @@ def _try(graph: Graph, node: Node, operator: Operator[Any], specs: Specs, promis
         try:
             step_of(operator, *specs.values(), *promised.values())
         except KinegraphError as error:
-            raise GraphError(str(error), path=graph.path, line=node.line, node=node.name) from error
+            raise GraphError(str(error), path=node.file or graph.path, line=node.line, node=node.name) from error
 
 
 def _process(operator: Operator[Any], port: str, chunk: Chunk) -> Emitted:

@@ -73,10 +73,8 @@ def _kept(graph: Graph, asked: list[str]) -> list[str]:
 
 
 def _joined(name: str, graph: Graph, chunks: list[Chunk]) -> Series:
-    node, _, output = name.partition(".")
-    specs = graph.nodes[node].specs
-    spec = specs[output or next(iter(specs))]
-    return Series.of_chunks(name, spec, chunks)
+    there = {str(Edge(n.name, out)): spec for n in graph.nodes.values() for out, spec in n.specs.items()}
+    return Series.of_chunks(name, there[name], chunks)
 
 
 def on_arrays(

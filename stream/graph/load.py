@@ -15,12 +15,14 @@ from stream.chunk import StreamSpec
 from stream.errors import GraphError, blaming, nearest
 from stream.graph import Edge, Graph, RecordingOptions
 from stream.graph.draft import Draft, build_from, read_node
+from stream.graph.expansion import MOST_NODES, expand, plain_text
 from stream.graph.opening import open_nodes
 from stream.graph.overrides import override, placed, rewrite
 from stream.graph.page_options import PageOptions
 from stream.graph.page_section import read_page
 from stream.graph.parts import Part, import_from, registered
 from stream.graph.problems import Problems
+from stream.graph.settings_section import read_settings
 from stream.graph.shipped import resolve, shipped
 from stream.graph.suited import refuse_unsuited
 from stream.graph.wiring import Wiring
@@ -51,9 +53,7 @@ class Settings:
     )
 
 
-MOST_NODES = 1000
-"""A graph with more is refused before any of them is made."""
-SECTIONS = ("session", "record", "recording", "page", "nodes")
+SECTIONS = ("session", "settings", "record", "recording", "page", "nodes")
 KEYS = (*(f.name for f in fields(Settings)), *SECTIONS)
 
 
@@ -89,6 +89,13 @@ def read_text(path: Path) -> tuple[Path, str]:
         raise GraphError(f"the graph cannot be read: {error.strerror}{hint}", path=str(path)) from None
 
 
+def read_expanded(path: Path) -> Located:
+    """What a graph's file says, with the nodes of its parts in their places; nothing is made of it. Raises GraphError."""
+    path, text = read_text(Path(path))
+    problems = Problems(str(path))
+    return expand(parse(text, str(path)), path.parent, problems, IMPLICIT).root
+
+
 def load_text(
     text: str,
     name: str = "graph",
@@ -99,13 +106,19 @@ def load_text(
     trusted_only: bool = False,
 ) -> Graph:
     """A graph from its text, as `load` does it; modules beside `path` can be named in it."""
-    import_from(Path(path).parent if path else Path(), trusted_only=trusted_only)
+    folder = Path(path).parent if path else Path()
     problems = Problems(path or name)
     written = parse(text, path or name)
-    overrides = placed(written, overrides or {}, KEYS)
-    root = override(written, overrides, problems)
+    expanded = expand(written, folder, problems, IMPLICIT)
+    import_from(folder, trusted_only=trusted_only or any(map(is_foreign, expanded.files)))
+    overrides = placed(expanded.root, overrides or {}, KEYS)
+    root = override(expanded.root, overrides, problems)
     graph = _Loading(root, problems, recorded).graph(name)
-    graph.text, graph.path = (rewrite(text, overrides, root) if overrides else text), path
+    if expanded.files:
+        text = plain_text(root, text)
+    elif overrides:
+        text = rewrite(text, overrides, override(written, overrides, problems))
+    graph.text, graph.path = text, path
     if recorded is None:
         refuse_unsuited(graph)
     return graph
@@ -132,8 +145,9 @@ def load_page(text: str, streams: Iterable[str]) -> RecordedPage:
     """
     problems, outputs = Problems("recorded"), dict[str, tuple[str, ...]]()
     for name in streams:
-        node, _, output = name.partition(".")
-        outputs[node] = (*outputs.get(node, ()), output or "out")
+        node, dot, output = name.rpartition(".")
+        node, output = (node, output) if dot else (name, "out")
+        outputs[node] = (*outputs.get(node, ()), output)
     root = parse(text, "recorded")
     nodes = {name: at.items() for name, at in root.items().get("nodes", Located({}, 0)).items().items()}
     if len(nodes) > MOST_NODES:
@@ -183,6 +197,7 @@ class _Loading:
         parts = [draft.kind for draft in drafts.values() if draft]
         page = read_page(self._section(top, "page"), wiring, self._problems, parts)
         nodes = open_nodes(drafts, self._problems, self._recorded)
+        offered = read_settings(top.get("settings"), self._problems)
         self._problems.stop()
         for node in nodes.values():
             if self._recorded is None and isinstance(node.part, Source):
@@ -201,6 +216,7 @@ class _Loading:
             recording=recording,
             page=page,
             session=session,
+            settings=offered,
         )
 
     def _top(self) -> dict[str, Located]:
@@ -246,6 +262,9 @@ class _Loading:
             self._problems.stop()
         drafts: dict[str, Draft | None] = {}
         for name, entry in written.items():
+            if inner := [other for other in written if other.startswith(f"{name}.")]:
+                text = f"the name of the node {inner[0]!r} begins with that of the node {name!r}; rename one of them"
+                self._problems.add(text, entry)
             drafts[name] = read_node(name, entry, self._problems)
         if written and all(draft and issubclass(draft.kind, Operator) for draft in drafts.values()):
             self._problems.add("the graph has no source; nothing would ever flow", top["nodes"])

@@ -10,6 +10,7 @@ from stream.backpressure import Policy
 from stream.chunk import Specs, StreamSpec
 from stream.errors import blaming
 from stream.graph.page_options import PageOptions
+from stream.graph.settings import Setting
 from stream.operator import Operator
 from stream.params import param
 from stream.source import Source
@@ -99,6 +100,8 @@ class Node:
     declared: NodeDeclaration = NodeDeclaration()
     options: NodeOptions = field(default_factory=NodeOptions)
     line: int = 0
+    file: str = ""
+    """The file of the part that has this node; empty for the graph's own."""
     given: dict[str, Any] = field(default_factory=dict)
     """The parameters as written in YAML."""
     opened: OpenedOperator | None = field(default=None, repr=False, compare=False)
@@ -147,6 +150,8 @@ class Graph:
     page: PageOptions = field(default_factory=PageOptions)
     session: dict[str, Any] = field(default_factory=dict)
     """Free facts about the session that stand in its recording: subject code, speed, side, electrode sites."""
+    settings: dict[str, Setting] = field(default_factory=dict)
+    """What a person may set, in the graph and in its parts ("left.cutoff_hz")."""
 
     replays: str = ""
     """The recording that replaces the sources; "" where they are live."""

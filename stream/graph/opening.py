@@ -176,5 +176,6 @@ def _node(draft: Draft, part: Source | Operator[Any], wires: Wires, specs: Specs
         specs={output: specs[output] for output in part.outputs if output in specs},
         options=draft.options,
         line=draft.entry.line,
+        file=draft.entry.file,
         given={key: at.plain() for key, at in entry.items() if key not in options},
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -12,6 +12,8 @@ from ruamel.yaml import YAML
 from stream.errors import GraphError, KinegraphError, nearest
 from stream.graph.parts import find
 from stream.graph.problems import Problems
+from stream.graph.settings import Setting
+from stream.graph.settings_section import read_settings
 from stream.graph.yaml_lines import Located, locate, parse
 
 SECTIONS = ("session", "recording")
@@ -34,14 +36,31 @@ def read(settings: Iterable[str]) -> dict[str, Any]:
 
 
 def placed(root: Located, overrides: Mapping[str, Any], known: Iterable[str]) -> dict[str, Any]:
-    """The settings, those that name no node and are none of the graph's `known` keys as the one node's that has such a parameter."""
+    """What is set, by the parameters that it goes to: those that a setting of the graph feeds, or the one node's that has such a parameter.
+
+    `known` are the graph's own keys. Raises GraphError for a value that a setting does not accept.
+    """
     top = dict(root.items())
     nodes = dict(top["nodes"].items()) if "nodes" in top else {}
+    settings = read_settings(top.get("settings"), Problems(""))
     found: dict[str, Any] = {}
     for name, value in overrides.items():
+        if setting := _setting(name, settings, known):
+            if why := setting.refusal(name, value):
+                raise GraphError(why, path=f"--set {name}")
+            found |= dict.fromkeys(setting.targets or (f"session.{name}",), value)
+            continue
         takers = [] if "." in name or name in known else [node for node, at in nodes.items() if name in _parameters(at)]
         found[f"{takers[0]}.{name}" if len(takers) == 1 else name] = value
     return found
+
+
+def _setting(name: str, settings: Mapping[str, Setting], known: Iterable[str]) -> Setting | None:
+    """The setting of this name, or the one of a single part ("left.cutoff_hz") whose last word it is."""
+    if name in settings or "." in name or name in known:
+        return settings.get(name)
+    found = [setting for whole, setting in settings.items() if whole.rpartition(".")[2] == name]
+    return found[0] if len(found) == 1 else None
 
 
 def _parameters(node: Located) -> list[str]:
@@ -58,12 +77,12 @@ def override(root: Located, overrides: Mapping[str, Any], problems: Problems) ->
     top = dict(root.items())
     for name, value in overrides.items():
         new = locate(value, 0, f"--set {name}")
-        place = _place(name, top)
+        place = place_of(name, top)
         if place is None:
             nodes = top["nodes"].items() if "nodes" in top else {}
             problems.add(f"there is no node {name.partition('.')[0]!r}; {nearest(name.partition('.')[0], nodes)}", new)
             continue
-        _put(top, place, new)
+        put(top, place, new)
     return Located(top, root.line) if overrides and isinstance(root.value, dict) else root
 
 
@@ -72,45 +91,62 @@ def rewrite(text: str, overrides: Mapping[str, Any], wanted: Located) -> str:
 
     Where that would change more than is `wanted` (a setting of a mapping that others share by an anchor), comments are lost.
     """
-    yaml = YAML(typ="rt")
-    yaml.preserve_quotes, yaml.width = True, 1000
+    yaml = _round_trip()
     root = yaml.load(text)
     for name, value in overrides.items():
-        *way, key = _place(name, root) or ()
+        *way, key = place_of(name, root) or ()
         inner = root
         for step in way:
             if inner.get(step) is None:
                 inner[step] = {}
             inner = inner[step]
         inner[key] = value
-    written = _dump(yaml, root)
-    return written if parse(written, "").plain() == wanted.plain() else _dump(yaml, wanted.plain())
+    written = dump(root, yaml)
+    return written if parse(written, "").plain() == wanted.plain() else dump(wanted.plain())
 
 
-def _dump(yaml: YAML, root: Any) -> str:
+def _round_trip() -> YAML:
+    yaml = YAML(typ="rt")
+    yaml.preserve_quotes, yaml.width = True, 1000
+    return yaml
+
+
+def dump(root: Any, yaml: YAML | None = None) -> str:
+    """Plain values, or what this YAML loaded, as text."""
+    yaml = yaml or _round_trip()
     out = io.StringIO()
     yaml.dump(root, out)
     return out.getvalue()
 
 
-def _place(name: str, top: Mapping[str, Any]) -> tuple[str, ...] | None:
+def place_of(name: str, top: Mapping[str, Any]) -> tuple[str, ...] | None:
     """The keys under which a setting stands: a node's, a section's, or the graph's own; None if it names an unknown node."""
     head, dot, key = name.partition(".")
     nodes = top.get("nodes")
-    known = nodes.items() if isinstance(nodes, Located) else nodes or {}
+    known = dict(nodes.items() if isinstance(nodes, Located) else nodes or {})
     if not dot:
         return (name,)
-    if head in dict(known):
-        return ("nodes", head, key)
+    for node in known:
+        if name.startswith(f"{node}."):
+            return ("nodes", node, name.removeprefix(f"{node}."))
     return (head, key) if head in SECTIONS else None
 
 
-def _put(inside: dict[str, Located], place: tuple[str, ...], new: Located) -> None:
+def value_at(top: Mapping[str, Located], name: str) -> Located | None:
+    """What a graph gives for a parameter ("envelope.cutoff_hz"); None if it gives nothing."""
+    first, *rest = place_of(name, top) or ("",)
+    at = top.get(first)
+    for key in rest:
+        at = at.items().get(key) if at else None
+    return at
+
+
+def put(inside: dict[str, Located], place: tuple[str, ...], new: Located) -> None:
     head, *rest = place
     if rest:
         old = inside.get(head, Located({}, new.line, new.origin))
         entries = dict(old.items())
-        _put(entries, tuple(rest), new)
-        inside[head] = Located(entries, old.line, old.origin)
+        put(entries, tuple(rest), new)
+        inside[head] = replace(old, value=entries)
     else:
         inside[head] = new

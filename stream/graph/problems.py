@@ -21,18 +21,34 @@ class Problems:
     def __init__(self, path: str) -> None:
         self._path = path
         self._found: list[GraphError] = []
+        self.places: dict[str, Located] = {}
+        """Where the nodes of parts stand, by their names in the graph, and where the graph uses the parts."""
 
     def __len__(self) -> int:
         return len(self._found)
 
     def add(self, text: str, at: Located | None = None, node: str = "", cause: BaseException | None = None) -> None:
         """Something is wrong `at` this place (a line of the file, or a setting of the command line)."""
-        origin = at.origin if at else ""
+        origin, file = (at.origin, at.file) if at else ("", "")
         error = GraphError(
-            text, path=origin or self._path, line=None if origin or not at else at.line or None, node=node
+            text + self._other_places(node, file),
+            path=origin or file or self._path,
+            line=None if origin or not at else at.line or None,
+            node=node,
         )
         error.__cause__ = cause
         self._found.append(error)
+
+    def _other_places(self, node: str, file: str) -> str:
+        """For a node of a part: where the graph uses the part, and where the part has the node, as far as `file` is another."""
+        words = node.split(".")
+        names = [name for n in range(len(words), 0, -1) if (name := ".".join(words[:n])) in self.places]
+        there = [
+            f"{name!r} is in {at.file or self._path}:{at.line}"
+            for name in names
+            if (at := self.places[name]).file != file and at.line
+        ]
+        return f" ({', '.join(there)})" if there else ""
 
     def keep(self, error: GraphError) -> None:
         self._found.append(error)

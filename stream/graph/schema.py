@@ -10,16 +10,19 @@ from typing import Any
 
 from stream.graph import NodeOptions, RecordingOptions
 from stream.graph.draft import NODE_NAME, OPERATOR_OPTIONS, SOURCE_OPTIONS, parameters_of
+from stream.graph.expansion import PartInput
 from stream.graph.load import Settings
 from stream.graph.page_options import PANEL_KINDS, PageOptions, Panel
 from stream.graph.parts import Part, kind_of
+from stream.graph.settings import Setting
 from stream.operator import Operator
 from stream.params import schema as parameters
 from stream.source import Source
 
 Json = dict[str, Any]
 
-EDGE = r"^[A-Za-z_][A-Za-z0-9_-]*(\.[A-Za-z_][A-Za-z0-9_]*)?$"
+PART = r"\.ya?ml$"
+"""What a `use` ends in that names a part's file."""
 UNITS = {
     "hz": "Hz",
     "s": "s",
@@ -57,6 +60,8 @@ def graph_schema(parts: dict[str, Part]) -> Json:
         "additionalProperties": False,
         "properties": {
             **_settings(),
+            "part": _part(),
+            "settings": _offered(),
             "session": {"type": ["object", "null"], "description": "facts about the session, kept in its recording"},
             "record": {
                 "description": "outputs recorded beside the sources, which always are",
@@ -75,7 +80,7 @@ def graph_schema(parts: dict[str, Part]) -> Json:
             },
         },
         "$defs": {
-            "edge": {"type": "string", "pattern": EDGE, "description": "a node, or node.output"},
+            "edge": {"type": "string", "pattern": NODE_NAME, "description": "a node, or node.output"},
             "node": _any_node(parts),
             **definitions,
         },
@@ -87,6 +92,27 @@ def _settings() -> Json:
     recording = _described(RecordingOptions)
     recording.update(additionalProperties=False, type=["object", "null"])
     return {**properties, "recording": recording}
+
+
+def _part() -> Json:
+    """The section `part:` of a part's file."""
+    port = _described(PartInput)
+    port.update(additionalProperties=False, type="object")
+    inputs: Json = {"type": "object", "additionalProperties": {"anyOf": [{"type": ["string", "null"]}, port]}}
+    outputs: Json = {"type": "object", "additionalProperties": {"$ref": "#/$defs/edge"}}
+    return {
+        "type": ["object", "null"],
+        "description": "makes this file a part that other graphs use as a node",
+        "additionalProperties": False,
+        "properties": {"inputs": inputs, "outputs": outputs},
+    }
+
+
+def _offered() -> Json:
+    """The section `settings:`."""
+    one = _described(Setting)
+    one.update(additionalProperties=False, type=["object", "null"])
+    return {"type": ["object", "null"], "description": "what a person may set", "additionalProperties": one}
 
 
 def _page() -> Json:
@@ -114,8 +140,12 @@ def _any_node(parts: dict[str, Part]) -> Json:
         "required": ["use"],
         "properties": {
             "use": {
-                "description": "the dotted path of a source, an operator or an outlet",
-                "anyOf": [{"enum": list(parts)}, {"type": "string", "pattern": r"^[^\W\d]\w*(\.[^\W\d]\w*)+$"}],
+                "description": "the dotted path of a source, an operator or an outlet, or the file of a part",
+                "anyOf": [
+                    {"enum": list(parts)},
+                    {"type": "string", "pattern": r"^[^\W\d]\w*(\.[^\W\d]\w*)+$"},
+                    {"type": "string", "pattern": PART},
+                ],
             }
         },
         "allOf": [

@@ -17,4 +17,4 @@ def refuse_unsuited(graph: Graph) -> None:
                 if asked_to_end(error):
                     raise
                 text = str(error) if isinstance(error, KinegraphError) else f"suits failed: {explain(error)}"
-                raise GraphError(text, path=graph.path, line=node.line or None, node=node.name) from error
+                raise GraphError(text, path=node.file or graph.path, line=node.line or None, node=node.name) from error

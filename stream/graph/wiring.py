@@ -29,7 +29,8 @@ class Wiring:
         if not isinstance(text, str):
             self._problems.add(f"{written.kind} is not the name of a node or of an output", written, node)
             return None
-        name, dot, output = text.partition(".")
+        name = self._node(text)
+        dot, output = name != text, text[len(name) + 1 :]
         if name not in self._outputs:
             self._problems.add(f"there is no node {name!r}; {nearest(name, self._outputs)}", written, node)
             return None
@@ -43,6 +44,16 @@ class Wiring:
             self._problems.add(f"{name!r} has no output {output!r}; {nearest(output, outputs)}", written, node)
             return None
         return Edge(name, output if dot else outputs[0])
+
+    def _node(self, text: str) -> str:
+        """The node in "node.output": the one whose name the text is, or begins with; no node's name begins with another's and a dot."""
+        name = text
+        while name not in self._outputs and "." in name:
+            name = name.rpartition(".")[0]
+        if name in self._outputs:
+            return name
+        is_in_part = any(known.startswith(f"{name}.") for known in self._outputs)
+        return text if is_in_part else name
 
     def wires(self, node: str, part: Part, written: Located | None, entry: Located) -> Wires | None:
         """What feeds each input of `node`, in port order; None if something is wrong with it. `entry` is the whole node."""

@@ -36,11 +36,15 @@ NESTED = "lists and mappings are nested too deeply; no graph needs more than a f
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """A value and the line of its name (of itself, in a list); `origin` is where it stands if not in the file."""
+    """A value and the line of its name (of itself, in a list); `origin` is where it stands if not in the file.
+
+    `file` is the file of a part, empty for the graph's own.
+    """
 
     value: Scalar | list[Located] | dict[str, Located]
     line: int
     origin: str = ""
+    file: str = ""
 
     def plain(self) -> Any:
         """The value without its lines."""
@@ -80,7 +84,7 @@ def locate(value: Any, line: int, origin: str = "") -> Located:
     return Located(value, line, origin)
 
 
-def parse(text: str, path: str) -> Located:
+def parse(text: str, path: str, *, is_part: bool = False) -> Located:
     """The whole text as one value; raises GraphError with the line of what is no YAML, or not plain."""
     if len(text) > _MOST_LETTERS:
         raise GraphError(f"the graph has {len(text)} characters; it must have at most {_MOST_LETTERS}", path=path)
@@ -101,14 +105,14 @@ def parse(text: str, path: str) -> Located:
         raise GraphError(NESTED, path=path) from None
     if root is None:
         return Located(None, 1)
-    return _YamlReading(yaml, path).value(root, root.start_mark.line + 1)
+    return _YamlReading(yaml, path, path if is_part else "").value(root, root.start_mark.line + 1)
 
 
 class _YamlReading:
     """One pass over composed nodes."""
 
-    def __init__(self, yaml: YAML, path: str) -> None:
-        self._constructor, self._path = yaml.constructor, path
+    def __init__(self, yaml: YAML, path: str, file: str) -> None:
+        self._constructor, self._path, self._file = yaml.constructor, path, file
         self._open: set[int] = set()
         self._count = 0
 
@@ -119,14 +123,15 @@ class _YamlReading:
         if len(self._open) > _DEEPEST:
             raise self._wrong(node, NESTED)
         if isinstance(node, ScalarNode):
-            return Located(self._scalar(node), line)
+            return Located(self._scalar(node), line, file=self._file)
         if str(node.tag) not in (_TAG + "map", _TAG + "seq"):
             raise self._wrong(node, f"the tag {node.tag!r} is refused; a graph holds plain values only")
         self._open.add(id(node))
         try:
             if isinstance(node, SequenceNode):
-                return Located([self.value(item, item.start_mark.line + 1) for item in node.value], line)
-            return Located(self._mapping(node), line)
+                items = [self.value(item, item.start_mark.line + 1) for item in node.value]
+                return Located(items, line, file=self._file)
+            return Located(self._mapping(node), line, file=self._file)
         finally:
             self._open.discard(id(node))
 

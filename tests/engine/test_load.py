@@ -155,7 +155,7 @@ NODE_ERRORS = [
     ("a: {from: board}", 4, ["'use' is missing"]),
     ("a: board", 4, ["a node is a mapping with 'use', not the text 'board'"]),
     ("a b: {use: graph_parts.Low, from: board}", 4, ["a node's name is made of letters"]),
-    ("a.b: {use: graph_parts.Low, from: board}", 4, ["a node's name is made of letters"]),
+    ("a..b: {use: graph_parts.Low, from: board}", 4, ["a node's name is made of letters"]),
     ("a: {use: Low, from: board}", 4, ["use is 'Low'", "a dotted path"]),
     ("a: {use: 3, from: board}", 4, ["use is the number 3"]),
     ("a: {use: graph_parts.Lo, from: board}", 4, ["graph_parts has no 'Lo'", "did you mean 'Low'?"]),

@@ -149,10 +149,10 @@ def envelope_of(text: str, where: str) -> Envelope:
 
 
 def _text(config: File) -> str:
-    try:
-        return config.read_text(encoding="utf-8")
-    except OSError as error:
-        raise KinegraphError(f"{config}: cannot be read: {error.strerror}") from None
+    from stream.graph.load import read_expanded
+    from stream.graph.overrides import dump
+
+    return dump(read_expanded(config).plain())
 
 
 def _only(recording: Recording, what: str, fits: Any, ends: str = "") -> str:

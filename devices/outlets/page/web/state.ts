@@ -112,7 +112,7 @@ export class GraphPanel extends Panel {
   draw(): void {
     if (!this.state) return;
     for (const [name, row] of Object.entries(this.state.table)) {
-      const node = name.split(".")[0] as string;
+      const node = this.nodeOf(name);
       const text = this.rates.get(name) ?? this.rates.get(node);
       if (text) text.textContent = `${Number(row["rate_hz"] ?? 0).toFixed(1)}/s${row["p99_us"] ? ` · p99 ${Number(row["p99_us"]).toFixed(0)} µs` : ""}`;
       this.boxes.get(node)?.classList.toggle("failed", Boolean(row["error"]) || row["state"] === "stale");
@@ -124,11 +124,18 @@ export class GraphPanel extends Panel {
     this.state = null;
   }
 
+  /** The node of "node.output"; nodes of a part have dots in their names. */
+  private nodeOf(edge: string): string {
+    let node = edge;
+    while (node.includes(".") && !this.graph.nodes.some((one) => one.name === node)) node = node.slice(0, node.lastIndexOf("."));
+    return node;
+  }
+
   /** Each node as far to the right as its inputs ask for. */
   private places(): Map<string, [number, number]> {
     const depth = new Map<string, number>();
     for (const node of this.graph.nodes) {
-      const before = this.graph.edges.filter(([, to]) => to === node.name).map(([edge]) => depth.get(edge.split(".")[0] as string) ?? 0);
+      const before = this.graph.edges.filter(([, to]) => to === node.name).map(([edge]) => depth.get(this.nodeOf(edge)) ?? 0);
       depth.set(node.name, before.length ? 1 + Math.max(...before) : 0);
     }
     const rows = new Map<number, number>();
@@ -141,14 +148,14 @@ export class GraphPanel extends Panel {
   }
 
   private edge(svg: SVGElement, edge: string, to: string, port: string, place: Map<string, [number, number]>): void {
-    const [a, b] = [place.get(edge.split(".")[0] as string), place.get(to)];
+    const [a, b] = [place.get(this.nodeOf(edge)), place.get(to)];
     if (!a || !b) return;
     const [x1, y1, x2, y2] = [a[0] + BOX.width, a[1] + BOX.height / 2, b[0], b[1] + BOX.height / 2];
     const path = draw("path", { d: `M${x1},${y1} C${x1 + 30},${y1} ${x2 - 30},${y2} ${x2},${y2}` });
     path.append(draw("title", {}, `${edge} to ${port}`));
     svg.append(path);
     if (this.flows.has(edge)) return;
-    const node = edge.split(".")[0] as string;
+    const node = this.nodeOf(edge);
     const before = this.outputs.get(node) ?? 0;
     this.outputs.set(node, before + 1);
     const flow = draw("text", { x: String(x1 + 4), y: String(a[1] + FLOW * (before + 1)), class: "dim flow" }) as SVGTextElement;
