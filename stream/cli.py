@@ -157,8 +157,20 @@ def call(name: str, arguments: list[str]) -> None:
             command.callback = _interruptible(command.callback)
     else:
         app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-        app.command(name, context_settings={"help_option_names": ["-h", "--help"]})(_interruptible(found))
+        app.command(name, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_settings_of(name, arguments))(
+            _interruptible(found)
+        )
     app(arguments, prog_name=f"kinegraph {name}")
+
+
+def _settings_of(name: str, arguments: list[str]) -> str | None:
+    """What the help of a command says of the graph that it is called with."""
+    if not {"-h", "--help"} & set(arguments):
+        return None
+    from stream.commands.graph_help import settings_help
+
+    text = settings_help(name, arguments)
+    return f"\b\n{text}" if text else None
 
 
 def _interruptible(function: Any) -> Any:

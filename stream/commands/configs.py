@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from stream.errors import KinegraphError, nearest
-from stream.graph.shipped import shipped, summary
+from stream.graph.shipped import shipped, shipped_parts, summary
 
 
 def configs(
@@ -18,9 +18,11 @@ def configs(
 ) -> None:
     """List the graphs that come with kinegraph; with names, copy these into a folder, to be changed there.
 
-    They run by name as they are: `kinegraph run treadmill_emg`. A file of that name in the current folder comes first.
+    They run by name as they are: `kinegraph run treadmill_emg`. A file of that name in the current folder comes first. Parts, which
+    other graphs use as nodes, are found by every graph; a copy beside a graph comes first.
     """
-    there = shipped()
+    parts = shipped_parts()
+    there = shipped() | parts
     if not there:
         raise KinegraphError("no graphs are installed with kinegraph; install it from a wheel, or work in a checkout")
     if not names:
@@ -29,13 +31,16 @@ def configs(
             print(f"{name:<{width}}  {summary(path)}")
         return
     for name in names:
-        if Path(name).stem not in there:
+        if name not in parts and Path(name).stem not in there:
             raise KinegraphError(f"there is no shipped graph {name!r}; {nearest(name, there)}")
-    copies = {there[Path(name).stem]: out / there[Path(name).stem].name for name in names}
+    chosen = [
+        (there[name], name) if name in parts else (there[Path(name).stem], Path(name).stem + ".yaml") for name in names
+    ]
+    copies = {path: out / name for path, name in chosen}
     for copy in copies.values():
         if copy.exists():
             raise KinegraphError(f"{copy} already exists; choose another --out, or delete it first")
-    out.mkdir(parents=True, exist_ok=True)
     for path, copy in copies.items():
+        copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, copy)
         print(copy)

@@ -12,8 +12,8 @@ Settings: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
-        metavar="NODE.PARAMETER=VALUE",
-        help="change a parameter; NODE. may be left out where one node alone has it",
+        metavar="NAME=VALUE",
+        help="change a setting of the graph (CONFIG --help lists them), or NODE.PARAMETER; NODE. may be left out where one node alone has it",
     ),
 ]
 TrustedOnly: TypeAlias = Annotated[

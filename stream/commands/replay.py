@@ -240,7 +240,9 @@ def _with_progress(run: Replay, quiet: bool) -> Replayed:
 
 def _not_compared(recorded: list[str], result: Replayed, of: Substitutes) -> list[str]:
     """Recorded edges that the graph did not compute again, though no image is missing for them."""
-    return [name for name in recorded if name not in result.digests and not {name, name.rpartition(".")[0]} & of.idle.keys()]
+    return [
+        name for name in recorded if name not in result.digests and not {name, name.rpartition(".")[0]} & of.idle.keys()
+    ]
 
 
 def _tell(result: Replayed) -> None:

@@ -15,6 +15,7 @@ from stream.chunk import StreamSpec
 from stream.errors import GraphError
 from stream.face.results import Results
 from stream.graph import Edge, Graph, Node, RecordingOptions
+from stream.graph.expansion import is_part
 from stream.graph.growing import grown
 from stream.graph.load import Settings, load, load_text
 from stream.graph.parts import UseError, find
@@ -98,13 +99,14 @@ class GraphBuilder:
 
     @property
     def nodes(self) -> dict[str, Source | Operator[Any]]:
-        """The sources, operators and outlets, by name."""
-        return {name: self._nodes[name].part for name in self._document["nodes"]}
+        """The sources, operators and outlets, by name; those of a part as "part.node"."""
+        hidden = "annotations" if "annotations" not in self._document["nodes"] else ""
+        return {name: node.part for name, node in self._nodes.items() if name != hidden}
 
     def add(
         self,
         name: str,
-        part: Source | Operator[Any],
+        part: Source | Operator[Any] | str | Path,
         reads: str | Sequence[str] | Mapping[str, str] | None = None,
         *,
         record: bool = False,
@@ -112,27 +114,58 @@ class GraphBuilder:
     ) -> str:
         """Add a node and return its name; raises GraphError for whatever is wrong with it.
 
+        part      a source, operator or outlet, or the file of a part ("parts/emg_cycles.yaml"), which adds that part's nodes
         reads     where its input comes from: "node", "node.output", a list of these, or a mapping {port: "node.output"}
         record    keep what comes out of it (its first output) in recordings and results; see `record`
-        options   the engine's: queue, policy, worker, required, ... (docs/graphs.md)
+        options   the engine's: queue, policy, worker, required, ... (docs/graphs.md); of a part, its settings
         """
+        of_file = isinstance(part, str | Path)
         entry = {
-            "use": use_of(part),
+            "use": str(part) if isinstance(part, str | Path) else use_of(part),
             **({} if reads is None else {"from": _written("reads", reads, name)}),
-            **options,
-            **parameters_given(name, part),
+            **({key: _written(key, value, name) for key, value in options.items()} if of_file else options),
+            **({} if isinstance(part, str | Path) else parameters_given(name, part)),
         }
         written = self._document["nodes"]
-        node = grown({n: known for n, known in self._nodes.items() if n != name or n in written}, name, entry)
-        self._nodes[name] = node
-        self._document["nodes"][name] = entry
-        self._text = ""
+        if of_file or self._has_parts:
+            if name in written:
+                raise GraphError("the graph already has a node of this name", node=name)
+            self._check_with(nodes={**written, name: entry})
+        else:
+            node = grown({n: known for n, known in self._nodes.items() if n != name or n in written}, name, entry)
+            self._nodes[name] = node
+            self._document["nodes"][name] = entry
+            self._text = ""
         if record:
             self.record(name)
         return name
 
+    def setting(self, name: str, feeds: str | Sequence[str] = (), **facts: Any) -> None:
+        """Declare what a person may set: `--set NAME=VALUE`, the overrides of `load`.
+
+        feeds   the parameters that get the value ("envelope.cutoff_hz"); left out: the session's fact of this name
+        facts   label, unit, help, type, default, min, max, choices (docs/graphs.md)
+        """
+        entry = {**({"feeds": _written("feeds", feeds)} if feeds else {}), **facts}
+        self._check_with(settings={**self._document.get("settings", {}), name: entry})
+
+    @property
+    def _has_parts(self) -> bool:
+        return any(is_part(entry["use"]) for entry in self._document["nodes"].values())
+
+    def _check_with(self, **sections: Any) -> None:
+        """Put these sections in place of those that are there, if the graph is right with them."""
+        document = {**self._document, **sections}
+        checked = load_text(self._dumped(document["record"], document), self.name, path=self._path)
+        for node in checked.nodes.values():
+            node.opened = None  # what runs is another graph, read from this one's text
+        self._document, self._nodes, self._text = document, checked.nodes, ""
+
     def record(self, *edges: str) -> None:
         """Name edges ("smooth", "active.interval") that are recorded, and kept in results."""
+        if self._has_parts:
+            self._check_with(record=list(dict.fromkeys([*self._document["record"], *edges])))
+            return
         problems = Problems("")
         wiring = Wiring({name: node.part.outputs for name, node in self._nodes.items()}, problems)
         found = [str(edge) for name in edges if (edge := wiring.edge(locate(name, 0)))]
@@ -187,10 +220,9 @@ class GraphBuilder:
             return on_recording(self, data, keep, outlets)
         return on_arrays(self, data, keep, outlets, rate_hz=rate_hz, time=time)
 
-    def _dumped(self, record: Sequence[str]) -> str:
-        document = {
-            key: value for key, value in {**self._document, "record": list(record)}.items() if key != "record" or value
-        }
+    def _dumped(self, record: Sequence[str], document: Mapping[str, Any] | None = None) -> str:
+        document = {**(document or self._document), "record": list(record)}
+        document = {key: value for key, value in document.items() if key != "record" or value}
         yaml = YAML()
         yaml.width, yaml.default_flow_style = 120, None
         yaml.indent(mapping=2, sequence=4, offset=2)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from stream.graph import Node
+from stream.graph.expansion import is_part
 
 SETTINGS = ("latency_budget_ms", "checkpoint_s", "session", "recording")
 
@@ -13,15 +14,23 @@ SETTINGS = ("latency_budget_ms", "checkpoint_s", "session", "recording")
 def script(document: Mapping[str, Any], nodes: Mapping[str, Node]) -> str:
     """Python that builds the graph which `document` (a graph's file as plain values) describes; `nodes` in topological order."""
     written = document["nodes"]
-    names = [name for name in nodes if name in written]
-    classes = {name: type(nodes[name].part) for name in names}
-    called = _called({classes[name]: str(written[name]["use"]).rpartition(".")[0] for name in names})
+    files = [name for name, entry in written.items() if is_part(entry["use"])]
+    names = [name for name in (written if files else nodes) if name in written]
+    classes = {name: type(nodes[name].part) for name in names if name not in files}
+    called = _called({classes[name]: str(written[name]["use"]).rpartition(".")[0] for name in classes})
     lines = [""]
     facts = [repr(document.get("name") or "graph")]
     facts += [f"{key}={document[key]!r}" for key in SETTINGS if document.get(key)]
     lines.append(f"graph = kinegraph.Graph({', '.join(facts)})")
     for name in names:
-        lines.append(_added(name, called[classes[name]], written[name], nodes[name]))
+        if name in files:
+            lines.append(_part(name, written[name]))
+        else:
+            lines.append(_added(name, called[classes[name]], written[name], nodes[name]))
+    for name, entry in (document.get("settings") or {}).items():
+        lines.append(
+            f"graph.setting({', '.join([repr(name), *(f'{key}={value!r}' for key, value in (entry or {}).items())])})"
+        )
     if document["record"]:
         lines.append(f"graph.record({', '.join(map(repr, document['record']))})")
     return "\n".join(["import kinegraph", *_imports(called, written, classes), *lines, ""])
@@ -44,6 +53,13 @@ def _imports(
     modules = {cls: str(written[name]["use"]).rpartition(".")[0] for name, cls in classes.items()}
     own = {cls: "" if name == cls.__name__ else f" as {name}" for cls, name in called.items()}
     return sorted(f"from {modules[cls]} import {cls.__name__}{own[cls]}" for cls in called)
+
+
+def _part(name: str, entry: Mapping[str, Any]) -> str:
+    """The call that adds a part."""
+    given = [repr(name), repr(entry["use"]), *([repr(entry["from"])] if "from" in entry else [])]
+    given += [f"{key}={value!r}" for key, value in entry.items() if key not in ("use", "from")]
+    return f"graph.add({', '.join(given)})"
 
 
 def _added(name: str, cls: str, entry: Mapping[str, Any], node: Node) -> str:

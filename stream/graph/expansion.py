@@ -219,7 +219,9 @@ class _Expansion:
                 add(f"part: {key} is {at.kind}; it must be a mapping, as in {{emg: ...}}", at)
         for name, at in head.items().get("inputs", head).items().items() if "inputs" in head.items() else ():
             given = {"help": at} if isinstance(at.value, str) else at.items()
-            part.inputs[name] = build_from(PartInput, given, self._problems, f"input {name}: ", part.name) or PartInput()
+            part.inputs[name] = (
+                build_from(PartInput, given, self._problems, f"input {name}: ", part.name) or PartInput()
+            )
             if name in part.nodes:
                 add(f"{name!r} is an input and a node; give one of them another name", at)
         if "outputs" in head.items():

@@ -25,7 +25,7 @@ def read(settings: Iterable[str]) -> dict[str, Any]:
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not equals or not name:
-            raise KinegraphError(f"--set {setting}: it must be NODE.PARAMETER=VALUE, as in 'envelope.cutoff_hz=10'")
+            raise KinegraphError(f"--set {setting}: it must be NAME=VALUE, as in 'envelope.cutoff_hz=10'")
         if name in found:
             raise KinegraphError(f"--set {name} is given twice")
         try:

@@ -22,6 +22,12 @@ def shipped() -> dict[str, Path]:
     return {p.stem: p for p in sorted(folder.glob("*.yaml"))} if folder else {}
 
 
+def shipped_parts() -> dict[str, Path]:
+    """The shipped parts of graphs, as a graph's `use` names them: {"parts/emg.yaml": ...}."""
+    folder = shipped_folder()
+    return {p.relative_to(folder).as_posix(): p for p in sorted(folder.glob("parts/*.yaml"))} if folder else {}
+
+
 def resolve(path: Path) -> Path:
     """The file that is meant: `path` if there is one, else the shipped graph of that bare name ("treadmill_emg", also with .yaml)."""
     bare = path.parent == Path() and path.suffix in ("", *_ENDINGS)
