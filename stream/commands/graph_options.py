@@ -13,7 +13,7 @@ Settings: TypeAlias = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="change a setting of the graph (CONFIG --help lists them), or NODE.PARAMETER; NODE. may be left out where one node alone has it",
+        help="change a setting of the graph (CONFIG --help lists them) or NODE.PARAMETER; NODE. may be left out where it is plain",
     ),
 ]
 TrustedOnly: TypeAlias = Annotated[
