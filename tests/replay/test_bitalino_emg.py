@@ -1,0 +1,44 @@
+"""configs/bitalino_emg.yaml: two muscles and the heart with a BITalino; of the muscles the envelopes.
+
+Recording: tibialis anterior and soleus of a treadmill walk (Santuz; MIT) at the device's 1000 Hz; in the heart's place a pulse a second.
+Truth: scipy's zero-phase envelope of the two muscles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kinegraph as kg
+from stream.chunk import NS
+from tests.replay.replaying import at, emg_envelope, highpassed, signal
+from tests.support.real import real_arrays
+
+WALK = real_arrays("emg/emg_santuz_tw12.npz")
+TA, SO = (WALK["emg_uV"][:, WALK["names"].tolist().index(name)].astype(float) for name in ("TA", "SO"))
+HEART = 800.0 * (np.arange(len(TA)) % 1000 < 40)
+
+
+@pytest.fixture(scope="module")
+def replayed() -> kg.Results:
+    analog = signal(np.stack([TA, HEART, SO], axis=1), 1000.0, ["TA", "heart", "SO"], ["uV"], time_s=WALK["t_s"])
+    return kg.load("bitalino_emg").run({"bitalino.analog": analog})
+
+
+def test_only_the_muscles_have_envelopes_and_the_heart_does_not_leak_in(replayed: kg.Results) -> None:
+    live = replayed["envelope"]
+    assert live.spec.channels == ("TA", "SO") and live.spec.units[0] == "uV"
+    clean = highpassed(np.stack([TA, SO], axis=1), 1000.0)
+    offline = at(live, WALK["t_s"], emg_envelope(clean, 1000.0))
+    np.testing.assert_allclose(live.data[24:-24], offline[24:-24], atol=0.005 * offline.max())
+
+
+def test_the_calf_pushes_off_before_the_shin_lifts_the_foot(replayed: kg.Results) -> None:
+    """Within each of the file's strides soleus is loudest in late stance; tibialis anterior at touch-down or in swing."""
+    live = replayed["envelope"]
+    seconds, down, up = live.time / NS, WALK["touchdown_s"], WALK["liftoff_s"]
+    for begin, off, end in zip(down[:-1], up, down[1:], strict=False):
+        stride = (seconds >= begin) & (seconds < end)
+        ta, so = (seconds[stride][live.data[stride, column].argmax()] for column in (0, 1))
+        assert begin + 0.3 * (off - begin) < so < off
+        assert not begin + 0.3 * (off - begin) < ta < off - 0.05
