@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfiltfilt
+from scipy.signal import butter, sosfilt, sosfiltfilt, welch
 
 import kinegraph as kg
 from stream.chunk import NS, Array
+from tests.support.real import real_arrays
 
 ONSET = np.dtype([("onset", "<i8")])
 
@@ -53,3 +55,40 @@ def at(series: kg.Series, seconds: Array, values: Array) -> Array:
     """A reference `values` (n, c) at `seconds`, read at a stream's own stamps."""
     own = series.time / NS
     return np.stack([np.interp(own, seconds, column) for column in np.reshape(values, (len(values), -1)).T], axis=1)
+
+
+WALKING, TURNING = 2, 3
+
+
+@cache
+def pocket_walks(person: str) -> tuple[Array, Array, Array]:
+    """The trials of somebody with a phone in the pocket, joined: s (n,), accelerations and turning rates (n, 6), labels (n,).
+
+    In each trial the person sits, stands up, walks 3 m, turns, walks back and sits down; each sample's label says which (GeoTec; CC BY).
+    """
+    file, end = real_arrays(f"steps/imu_geotec_{person}.npz"), 0.0
+    parts = []
+    for trial in sorted(key.removesuffix("_imu") for key in file if key.startswith("sp_") and key.endswith("_imu")):
+        seconds = (file[f"{trial}_t_ms"] - file[f"{trial}_t_ms"][0]) / 1e3 + end
+        parts.append((seconds, file[f"{trial}_imu"].astype(float), file[f"{trial}_label"]))
+        end = seconds[-1] + 0.01
+    seconds, imu, labels = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return seconds, imu, labels
+
+
+def evenly(seconds: Array, values: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Samples (n, c) with bursty stamps, as of a regular stream: its seconds and values."""
+    even = np.arange(seconds[0], seconds[-1], 1 / rate_hz)
+    return even, np.stack(
+        [np.interp(even, seconds, column) for column in np.reshape(values, (len(values), -1)).T], axis=1
+    )
+
+
+def steps_per_s(person: str) -> float:
+    """How often somebody steps while walking: where the spectrum of the acceleration's size has its peak."""
+    seconds, imu, labels = pocket_walks(person)
+    even, size = evenly(seconds, np.linalg.norm(imu[:, :3], axis=1), 100.0)
+    size = size[labels[np.searchsorted(seconds, even)] == WALKING, 0]
+    f, power = welch(size - size.mean(), 100.0, nperseg=400)
+    band = (f > 1.2) & (f < 3.0)
+    return float(f[band][power[band].argmax()])
