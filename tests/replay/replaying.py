@@ -10,6 +10,8 @@ import numpy as np
 from scipy.signal import butter, sosfilt, sosfiltfilt, welch
 
 import kinegraph as kg
+from devices.simulators.bedroom import Bedroom, Extras, prepare
+from devices.simulators.night import NightPlan, plan
 from stream.chunk import NS, Array
 from tests.support.real import real_arrays
 
@@ -92,3 +94,39 @@ def steps_per_s(person: str) -> float:
     f, power = welch(size - size.mean(), 100.0, nperseg=400)
     band = (f > 1.2) & (f < 3.0)
     return float(f[band][power[band].argmax()])
+
+
+CMU_NAMES = {"hip_center": "root", "spine": "lowerback", "shoulder_center": "lowerneck", "head": "head"} | {
+    f"{part}_{side}": f"{side}{bone}"
+    for side in "lr"
+    for part, bone in {
+        "shoulder": "clavicle", "elbow": "humerus", "wrist": "radius", "hand": "hand",
+        "hip": "hipjoint", "knee": "femur", "ankle": "tibia", "foot": "toes",
+    }.items()
+}  # fmt: skip
+"""Where CMU's bones end, by the names of a Kinect's joints and of markers."""
+
+
+def cmu_joints(name: str, wanted: Iterable[str]) -> Array:
+    """Some joints (frames, joints, 3) of a CMU sequence at 30 Hz, in m: x to the left, y up, z forwards."""
+    file = real_arrays(f"segmentation/mocap6/{name}.npz")
+    names = file["joint_names"].tolist()
+    return np.asarray(file["joints_mm"][:, [names.index(CMU_NAMES[joint]) for joint in wanted]] / 1000.0)
+
+
+NIGHT_HZ = 2.0
+
+
+@cache
+def bedroom_night(sleepers: int, first: int, epochs: int) -> tuple[Array, tuple[NightPlan, ...]]:
+    """Depth frames of a simulated bedroom, and what happens in it, along epochs of a real hypnogram (Walch 2019; PhysioNet).
+
+    The bed is empty for 3 min before and 2 min afterwards.
+    """
+    numbered = real_arrays("sleep/psg_hypnograms_walch2019.npz")["subj00_stage"][first : first + epochs]
+    stages = tuple({0: "W", 1: "N1", 2: "N2", 3: "N3", 5: "R"}[int(stage)] for stage in numbered)
+    plans = tuple(plan(stages, evening_s=180.0 + 40 * k, morning_s=120.0, exits=0, seed=k + 1) for k in range(sleepers))
+    prepare()
+    room = Bedroom(160, 120, plans, extras=Extras(pet=False, lamp=False, invalid=0.1), seed=1)
+    frames = range(round(max(each.length_s for each in plans) * NIGHT_HZ))
+    return np.array([room.frame(i, i / NIGHT_HZ) for i in frames]), plans
