@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,9 @@ from scipy.signal import butter, sosfilt, sosfiltfilt, welch
 import kinegraph as kg
 from devices.simulators.bedroom import Bedroom, Extras, prepare
 from devices.simulators.night import NightPlan, plan
+from devices.simulators.rendered_performer import RenderedPerformer
 from stream.chunk import NS, Array
+from stream.recording.series import write_recording
 from tests.support.real import real_arrays
 
 ONSET = np.dtype([("onset", "<i8")])
@@ -130,3 +134,35 @@ def bedroom_night(sleepers: int, first: int, epochs: int) -> tuple[Array, tuple[
     room = Bedroom(160, 120, plans, extras=Extras(pet=False, lamp=False, invalid=0.1), seed=1)
     frames = range(round(max(each.length_s for each in plans) * NIGHT_HZ))
     return np.array([room.frame(i, i / NIGHT_HZ) for i in frames]), plans
+
+
+def recording(path: Path, streams: Mapping[str, kg.Series]) -> Path:
+    """Write streams as a recording: what a graph needs that is fed by switches, too, which arrays cannot stand in for."""
+    named = [replace(series, name=name) for name, series in streams.items()]
+    write_recording(path, named, {"graph": "", "session": {}}, chunk_s=1.0)
+    return path
+
+
+def pressed(moments_s: Sequence[float], states: Sequence[bool]) -> kg.Series:
+    """A switch: when it was put on or off."""
+    states_of = np.array([(state,) for state in states], [("on", "?")])
+    return kg.Series(
+        "", kg.StreamSpec((), states_of.dtype), np.round(np.array(moments_s) * NS).astype(np.int64), states_of
+    )
+
+
+CAMERA_HZ = 30.0
+
+
+@cache
+def performance(seconds: float) -> tuple[Array, Array]:
+    """A simulated performer before a depth camera, in a room that is empty at first: frames in mm, and where POINTS are in m."""
+    performer, frames = RenderedPerformer(320, 200), range(round(seconds * CAMERA_HZ))
+    depth = np.array([performer.frame(i, i / CAMERA_HZ) for i in frames])
+    return depth, np.array([performer.joints(i / CAMERA_HZ) for i in frames])
+
+
+def no_images(graph: kg.Graph, edge: str) -> kg.Series:
+    """A camera's grey images of which none arrived: what remains is depth."""
+    spec = graph.specs[edge]
+    return kg.Series("", spec, np.empty(0, np.int64), np.empty((0, *spec.shape), spec.dtype))
