@@ -36,6 +36,10 @@ os.environ["KINEGRAPH_LSL"] = f"machine:tests-{os.getpid()}"
 """No test looks for LSL streams, or shows any, beyond this computer and its own process (and those that it starts)."""
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "nightly: long or needs more than the repository holds")
+
+
 def pytest_runtest_teardown() -> None:
     """A command that ran within a test has bound the log to what was standard error then, which is closed for the tests that follow."""
     structlog.reset_defaults()

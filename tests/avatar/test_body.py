@@ -24,6 +24,7 @@ from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError
 from stream.operator import grid
 from tests.support.pose_model import pose_network_or_skip
+from tests.support.real import needs_data
 
 WIDTH, HEIGHT, RATE = 160, 120, 30.0
 CAMERA = dict(zip(("fx", "fy", "cx", "cy"), camera_of(WIDTH, HEIGHT), strict=True))
@@ -607,7 +608,7 @@ def test_an_upside_down_camera_is_not_believed_blindly() -> None:
     assert np.isfinite(out[~np.isnan(out)]).all()
 
 
-@pytest.mark.skipif("KINEGRAPH_DATA" not in os.environ, reason="KINEGRAPH_DATA is not set: no recordings")
+@needs_data
 @pytest.mark.parametrize(("name", "most_cm"), [("jacks_front", 4.5), ("hop_side", 10.0)])
 def test_markers_on_rendered_clips(name: str, most_cm: float) -> None:
     pose_network_or_skip()

@@ -23,6 +23,7 @@ from stream.model import ModelError, read_model, write_model
 from stream.recording import Recording
 from stream.recording.series import Series, write_recording
 from tests.avatar.test_whole_pose import POSES, RATE, TREE, N, marks, played
+from tests.support.real import needs_data
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
 SIDES = {"l": 1.0, "r": -1.0}
@@ -176,7 +177,7 @@ def test_what_markers_lack_is_said_and_points_can_be_given_for_it(
     assert read_model(tmp_path / "pose.npz", "pose").header["landmarks"] == list(USUAL)
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
+@needs_data
 def test_a_real_c3d_file_of_a_person_gives_a_model(tmp_path: Path) -> None:
     pytest.importorskip("ezc3d")
     kinegraph("import", DATA / "steering" / "HDM_dg_06-03_03_120.c3d", "-o", tmp_path / "walk.mcap")

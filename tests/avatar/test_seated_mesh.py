@@ -18,6 +18,7 @@ from stream.humanoid import BONES
 from tests.avatar import test_degraded_scenes as scenes
 from tests.avatar.test_degraded_scenes import AvatarChain, Following, held
 from tests.support.pose_model import pose_network_or_skip
+from tests.support.real import needs_data
 
 EMPTY, SEEN, DESK_M, FROM_M = 40, 95, 1.15, 2.0
 """Frames of the empty room, and with somebody in it; how high the desk is, above the hips, and how far from the camera."""
@@ -50,7 +51,7 @@ def followed(sequence: str, first: int, *, network: bool) -> Following:
     return Following(*(np.array(part) for part in zip(*told, strict=True)))
 
 
-@pytest.mark.skipif("KINEGRAPH_DATA" not in os.environ, reason="KINEGRAPH_DATA names no folder of recordings")
+@needs_data
 @pytest.mark.parametrize("network", [False, True], ids=["depth alone", "network"])
 def test_somebody_at_a_desk_is_followed_from_the_hips_up(network: bool) -> None:
     if network:

@@ -21,6 +21,7 @@ from stream.humanoid import BONES, usual_body
 from stream.joint_tree import JointTree, joints_of
 from stream.recording import Recording
 from tests.support.command_line import KINEGRAPH
+from tests.support.real import needs_data
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 LIMBS = {
@@ -48,7 +49,7 @@ def towards(a: Samples, b: Samples) -> Samples:
     return np.asarray((b - a) / np.linalg.norm(b - a, axis=-1, keepdims=True))
 
 
-@pytest.mark.skipif("KINEGRAPH_DATA" not in os.environ, reason="KINEGRAPH_DATA is not set: no recordings")
+@needs_data
 @pytest.mark.parametrize("name", ["P1_1_2_p21", "P3_1_1_p23"])
 def test_limbs_point_where_a_real_kinects_do(name: str, tmp_path: Path) -> None:
     z = np.load(Path(os.environ["KINEGRAPH_DATA"]) / "segmentation" / "msrc12" / f"{name}.npz")

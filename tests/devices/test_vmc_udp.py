@@ -23,6 +23,7 @@ from stream.errors import InputError, KinegraphError, ParameterError
 from stream.humanoid import BONES, usual_body
 from stream.joint_tree import JointTree
 from tests.support.convert_run import DATA
+from tests.support.real import needs_data
 
 osc_bundle = pytest.importorskip("pythonosc.osc_bundle", reason="python-osc is not installed")
 TREE = usual_body()
@@ -127,7 +128,7 @@ def test_what_cannot_be_sent_is_refused(tmp_path: Path) -> None:
         VmcOutlet(avatar=tmp_path / "a.vrm").open({"pose": TREE.spec(30.0)})
 
 
-@pytest.mark.skipif(DATA is None, reason="KINEGRAPH_DATA is not set")
+@needs_data
 def test_an_avatar_gives_the_lengths_that_are_sent(receiver: socket.socket) -> None:
     assert DATA is not None
     avatar = DATA / "body" / "human_female.vrm"

@@ -13,12 +13,13 @@ import pytest
 from devices.files.c3d_parameters import MIPS
 from devices.files.c3d_read import read_c3d
 from stream.errors import RecordingError
+from tests.support.real import needs_data
 
 FILES = Path(os.environ.get("KINEGRAPH_DATA", "/nonexistent")) / "files" / "c3d"
 READ = sorted(path.name for path in FILES.glob("*.c3d") if path.name != "sgi_int.c3d")
 
 
-@pytest.mark.skipif(not READ, reason="KINEGRAPH_DATA (the folder of real recordings) is not set")
+@needs_data
 @pytest.mark.parametrize("name", READ or [""])
 def test_the_library_reads_the_same_bits(name: str) -> None:
     """Real files, of whole numbers and floating-point ones."""

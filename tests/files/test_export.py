@@ -21,7 +21,8 @@ from stream.graph import RecordingOptions
 from stream.operator import grid
 from stream.recording import Recorder
 from stream.recording.series import Series, write_recording
-from tests.support.convert_run import DATA, arrays, assert_live_like, imported, kinegraph, needs_data, refused
+from tests.support.convert_run import arrays, assert_live_like, imported, kinegraph, refused
+from tests.support.real import real_file
 
 
 def mixed(
@@ -167,10 +168,8 @@ def test_string_markers_of_other_programs(tmp_path: Path, monkeypatch: pytest.Mo
     refused(tmp_path, "has 19 characters; allow them with --text-width 19", tmp_path / "r.xdf", "--text-width", "5")
 
 
-@needs_data
 def test_a_real_recording_through_xdf(tmp_path: Path) -> None:
-    assert DATA
-    file = DATA / "emg" / "emg_santuz_tw12.npz"
+    file = real_file("emg/emg_santuz_tw12.npz")
     with imported(tmp_path, file, "--stream", "emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV"):
         pass
     kinegraph("export", tmp_path / "made.mcap", "-o", tmp_path / "emg.xdf", "--format", "xdf")

@@ -11,13 +11,12 @@ from devices.files.timing import lost_by_counter, regular
 from stream import cli
 from stream.errors import RecordingError
 from stream.operator import grid
-from tests.support.convert_run import DATA, arrays, assert_live_like, imported, needs_data, refused
+from tests.support.convert_run import DATA, arrays, assert_live_like, imported, refused
+from tests.support.real import needs_data, real_file
 
 
-@needs_data
 def test_the_real_treadmill_recording(tmp_path: Path) -> None:
-    assert DATA
-    file = DATA / "emg" / "emg_santuz_tw12.npz"
+    file = real_file("emg/emg_santuz_tw12.npz")
     events = ["--events", "treadmill.touchdown=touchdown_s", "--events", "treadmill.liftoff=liftoff_s"]
     told = ["--meta", "treadmill.touchdown:side=right", "--fact", "subject=TW12", "--fact", "speed_kmh=5"]
     signal = ["--stream", "treadmill.emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV"]
@@ -93,10 +92,8 @@ def test_packet_counters_tell_what_was_lost(tmp_path: Path) -> None:
         assert_live_like(recording)
 
 
-@needs_data
 def test_bursty_stamps_stay_as_they_are(tmp_path: Path) -> None:
-    assert DATA
-    file = DATA / "steps" / "imu_geotec_s01.npz"
+    file = real_file("steps/imu_geotec_s01.npz")
     arguments = [file, "--stream", "phone=sp_01_imu", "--time", "sp_01_t_ms"]
     refused(tmp_path, "row 2: the time .* is repeated.*--repeated", *arguments)
     with imported(tmp_path, *arguments, "--repeated") as recording:

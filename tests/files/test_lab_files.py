@@ -16,9 +16,10 @@ from devices.files.importer import read_files
 from stream.chunk import NS
 from stream.errors import RecordingError
 from stream.recording.series import Series
+from tests.support.real import DATA_MARKS
 
 FILES = Path(os.environ.get("KINEGRAPH_DATA", "/nonexistent")) / "files"
-pytestmark = pytest.mark.skipif(not FILES.is_dir(), reason="KINEGRAPH_DATA (the folder of real files) is not set")
+pytestmark = DATA_MARKS
 TRUTH: dict[str, dict[str, Any]] = json.loads((FILES / "truth.json").read_text()) if FILES.is_dir() else {"": {}}
 MT_HZ = 100.0
 

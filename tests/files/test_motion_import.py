@@ -17,9 +17,9 @@ from stream import cli
 from stream.errors import RecordingError
 from stream.joint_tree import JointTree, joints_of
 from stream.recording import Recording
+from tests.support.real import needs_data
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
-needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
 
 BVH = """HIERARCHY
 ROOT Hips

@@ -15,6 +15,7 @@ from stream.recording import Recording
 from stream.recording.series import Series, write_recording
 from tests.gait import naive_emg
 from tests.support.command_line import Command, kinegraph  # noqa: F401 - a fixture
+from tests.support.real import needs_data
 
 FILES = Path(os.environ.get("KINEGRAPH_DATA", "/nonexistent")) / "files"
 MARK = np.dtype([("onset", "<i8")])
@@ -145,7 +146,7 @@ def test_a_first_graph_of_two_legs_has_limbs_as_a_dimension_and_one_report(kineg
     assert "Symmetry" in page and "Footfalls" in page and "accepted cycles of left and right" in page
 
 
-@pytest.mark.skipif(not FILES.is_dir(), reason="KINEGRAPH_DATA (the folder of real files) is not set")
+@needs_data
 def test_a_real_c3d_from_import_to_the_statistics_of_its_cycles(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
     Path("lab.c3d").write_bytes((FILES / "c3d" / "events_8plates.c3d").read_bytes())
     assert kinegraph("import", "lab.c3d", "-o", "lab.mcap")[0] == 0

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,16 +13,14 @@ from operators.emg.envelope_kernel import stamp
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from tests.gait.naive_emg import zero_phase_envelope
+from tests.support.emg_run import recording
 
 RATE = 1000.0
 
 
 @pytest.fixture
 def treadmill():
-    if "KINEGRAPH_DATA" not in os.environ:
-        pytest.skip("KINEGRAPH_DATA is not set: no real recordings here")
-    with np.load(Path(os.environ["KINEGRAPH_DATA"]) / "emg" / "emg_santuz_tw12.npz") as z:
-        return {name: z[name] for name in z.files}
+    return recording("emg_santuz_tw12")
 
 
 def spec_of(channels, rate=RATE):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
 import pytest
 
 from bench import emg_faults, emg_real_faults
+from tests.support.real import needs_data
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "emg.md"
 CELL = r" ([^|]+?) \|"
@@ -45,9 +45,7 @@ def test_a_fault_is_noticed_as_the_table_says(name: str) -> None:
     assert made == tables()[0][name] and not in_silence(made)
 
 
-@pytest.mark.skipif(
-    not os.environ.get("KINEGRAPH_DATA"), reason="KINEGRAPH_DATA (the folder of real recordings) is not set"
-)
+@needs_data
 @pytest.mark.parametrize(
     "name", ["electrode off (flat)", "one touch-down in ten missed", "overground: toe's marker stands still"]
 )

@@ -16,6 +16,7 @@ from operators.emg.mixture_kernel import begin_mixture, cluster_places, fit, ful
 from operators.emg.peaks_kernel import find_peaks
 from stream.chunk import Samples
 from tests.gait.naive_emg import cycles, local_maxima, zero_phase_envelope
+from tests.support.real import needs_data
 
 mixture = pytest.importorskip("sklearn.mixture", reason="scikit-learn is not installed")
 LEAST = np.array([1e-3, 1e-6])
@@ -217,9 +218,7 @@ def test_peaks_of_a_curve_are_found_also_across_touch_down() -> None:
     assert [round(place) for place in places[:found]] == [0, 30, 70]
 
 
-@pytest.mark.skipif(
-    "KINEGRAPH_DATA" not in os.environ, reason="KINEGRAPH_DATA (the folder of real recordings) is not set"
-)
+@needs_data
 def test_on_the_real_walks_it_equals_scikit_learn_and_the_plain_definition() -> None:
     walks = recorded_peaks()
     assert len(walks) > 13 + 4 * 6, "each of the seven recordings"

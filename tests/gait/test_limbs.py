@@ -29,6 +29,7 @@ from operators.gait.symmetry import LimbSymmetry
 from stream.chunk import NS, StreamSpec, grid
 from stream.errors import InputError, ParameterError
 from tests.support.emg_run import drive, stamps
+from tests.support.real import needs_data
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_both_legs.yaml"
 DATA = os.environ.get("KINEGRAPH_DATA", "")
@@ -134,7 +135,7 @@ def test_gaits_of_four_hooves_are_named(phase: tuple[float, ...], duty: int, tol
     assert gait_name(hooves, np.array(phase, float), np.full(4, float(duty)), 0.0, tolerance)[0] == name
 
 
-@pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA (the folder of real recordings) is not set")
+@needs_data
 def test_real_dogs_pace_trot_and_gallop() -> None:
     """Four paws from markers; what the clips are called says walk or run only, and both dogs that walk do so in a pace."""
     clips = np.load(Path(DATA) / "steering" / "dog_mocap_joints.npz")

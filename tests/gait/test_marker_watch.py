@@ -14,13 +14,12 @@ from operators.gait.marker_watch import MarkerWatch
 from stream.chunk import NS, Samples, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid
+from tests.support.real import needs_data
 
 NAMES = ("LHIP", "LKNE", "LANK", "LTOE", "RHIP", "RKNE", "RANK", "RTOE")
 LANK, LTOE, RTOE = 2, 3, 7
 BONES = (("LANK", "LTOE"), ("RANK", "RTOE"))
-HERE = pytest.mark.skipif(
-    not os.environ.get("KINEGRAPH_DATA"), reason="KINEGRAPH_DATA (the folder of real recordings) is not set"
-)
+HERE = needs_data
 LOOSE = {"S1_FLOAT/T_02", "S2_NO_FLOAT/T_02", "S3_FLOAT/T_02", "S4_FLOAT/T_02"}
 """Trials in which a toe's marker is 1.4 to 1.8 times as far from its ankle as at first, or leaps, as they were recorded."""
 

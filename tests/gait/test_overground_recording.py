@@ -15,10 +15,11 @@ import structlog
 from stream import cli
 from stream.chunk import NS
 from stream.recording import Recording
+from tests.support.real import DATA_MARKS
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "overground_emg.yaml"
 DATA = os.environ.get("KINEGRAPH_DATA", "")
-pytestmark = pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA (the folder of real recordings) is not set")
+pytestmark = DATA_MARKS
 
 WALKS = [f"{subject}/{trial}" for subject in ("S1_FLOAT", "S2_NO_FLOAT", "S3_FLOAT", "S3_NO_FLOAT", "S4_FLOAT", "S4_NO_FLOAT")
          for trial in ("T_01", "T_02", "T_03")]  # fmt: skip

@@ -12,9 +12,10 @@ import pytest
 from operators.gait.limb_contacts import LimbContacts
 from stream.chunk import NS, StreamSpec
 from tests.support.emg_run import drive, stamps
+from tests.support.real import DATA_MARKS
 
 DATA = os.environ.get("KINEGRAPH_DATA", "")
-pytestmark = pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA (the folder of real recordings) is not set")
+pytestmark = DATA_MARKS
 
 
 def found(name: str, plates: dict[str, list[str]]) -> dict[str, dict[str, np.ndarray]]:

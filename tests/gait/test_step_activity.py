@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pytest
 
@@ -14,6 +12,7 @@ from stream.errors import InputError
 from stream.operator import grid
 from tests.gait.test_step_biometrics import CHANNELS, UNITS, StreamSpec, walk
 from tests.support.emg_run import drive
+from tests.support.real import needs_data
 
 
 def told(given, size=None, **settings):
@@ -95,7 +94,7 @@ def test_what_is_no_step_or_no_acceleration_is_refused():
             StepActivity().open(specs)
 
 
-@pytest.mark.skipif("KINEGRAPH_DATA" not in os.environ, reason="KINEGRAPH_DATA names no folder of recordings")
+@needs_data
 def test_on_real_walks_standing_and_turns_are_told():
     from bench.step_walks import told as on_walks
 

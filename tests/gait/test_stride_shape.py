@@ -14,6 +14,7 @@ from operators.gait.stride_shape import StrideShape
 from stream.chunk import NS, StreamSpec, grid
 from stream.errors import InputError, ParameterError
 from tests.support.emg_run import drive
+from tests.support.real import needs_data
 
 DATA = os.environ.get("KINEGRAPH_DATA", "")
 DOG = {"left hind": 19, "right hind": 23, "left fore": 10, "right fore": 15}
@@ -101,7 +102,7 @@ def test_what_is_not_known_is_nan() -> None:
         assert np.isnan(found[name]).tolist() == [i in (2, 4, 7) for i in range(8)], name
 
 
-@pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA (the folder of real recordings) is not set")
+@needs_data
 def test_a_real_dog_strides_as_far_as_it_goes() -> None:
     """Every stride agrees with the slow computation, and is as long as the way of the hips meanwhile, which it knows nothing of."""
     joints = np.load(Path(DATA) / "steering" / "dog_mocap_joints.npz")["dog_walk00"].astype(float)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 from stream.recording import Recording
 from tests.gait import naive_emg
 from tests.support.emg_run import recording
+from tests.support.real import real_file
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_emg.yaml"
 CLOSE = {"rtol": 0, "atol": 1e-9}
@@ -31,7 +31,7 @@ def replayed(tmp_path_factory):
     """The replay's recording, and the numbers of the file that went in."""
     z = recording("emg_santuz_tw12")
     folder = tmp_path_factory.mktemp("treadmill")
-    file = Path(os.environ["KINEGRAPH_DATA"]) / "emg" / "emg_santuz_tw12.npz"
+    file = real_file("emg/emg_santuz_tw12.npz")
     names = ("--names", "treadmill.emg=names", "--unit", "treadmill.emg=uV")
     emg = ("--stream", "treadmill.emg=emg_uV", "--time", "treadmill.emg=t_s", *names)
     events = ("--events", "treadmill.touchdown=touchdown_s", "--events", "treadmill.liftoff=liftoff_s")

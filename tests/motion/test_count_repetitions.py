@@ -10,6 +10,7 @@ import pytest
 
 from operators.segmentation.evaluation.found import read_found
 from stream import cli
+from tests.support.real import needs_data
 
 COUNTER = Path(__file__).resolve().parents[2] / "configs" / "count_repetitions.yaml"
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
@@ -75,7 +76,7 @@ def test_a_phone_that_only_lies_there_counts_nothing(tmp_path):
     assert len(counted(tmp_path, time, acceleration)) == 0
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
+@needs_data
 @pytest.mark.parametrize("person", ["s03", "s08", "s12"])
 def test_strides_of_a_real_foot_are_counted_within_two(tmp_path, person):
     """A walk there and back, with its first and last steps and the turn; annotated are the foot's contacts."""

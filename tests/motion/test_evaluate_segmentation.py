@@ -19,9 +19,9 @@ from stream.errors import KinegraphError
 from stream.operator import grid
 from stream.recording import Recording
 from stream.recording.series import Series, write_recording
+from tests.support.real import needs_data
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
-needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
 NOTHING = np.empty(0)
 
 

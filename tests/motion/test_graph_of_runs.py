@@ -6,19 +6,17 @@ import os
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from stream.chunk import Array, Samples, StreamSpec, grid
 from stream.motion_graph import TRANSITION, MotionGraph
 from stream.recording.series import Series, write_recording
 from tests.support.command_line import Command, kinegraph
 from tests.support.motion_made import RATE, TREE, bend, bent
+from tests.support.real import DATA_MARKS
 
 __all__ = ["kinegraph"]
 
-pytestmark = pytest.mark.skipif(
-    "KINEGRAPH_DATA" not in os.environ, reason="KINEGRAPH_DATA is not set: no real recordings here"
-)
+pytestmark = DATA_MARKS
 JOINTS = ("LeftUpperArm", "RightUpperArm", "LeftUpperLeg", "RightUpperLeg")
 CUT = """
 nodes:

@@ -33,6 +33,7 @@ from stream.recording import Recording
 from tests.support.command_line import Command, kinegraph, refused
 from tests.support.heard import Heard
 from tests.support.motion_made import CYCLE, RATE, TREE, recorded, take, walking, waving
+from tests.support.real import needs_data
 
 __all__ = ["kinegraph"]
 
@@ -388,11 +389,6 @@ def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph:
     )  # in real time, though no node waits for it
     with Recording.open(Path("alone")) as opened:
         assert len(opened.read("walk.pose")[0]) == 60
-
-
-needs_data = pytest.mark.skipif(
-    "KINEGRAPH_DATA" not in os.environ, reason="KINEGRAPH_DATA is not set: no real recordings here"
-)
 
 
 @needs_data

@@ -15,6 +15,7 @@ from operators.motion_map import MotionMap
 from stream.chunk import Chunk, Samples, StreamSpec
 from stream.errors import InputError
 from stream.operator import grid
+from tests.support.real import needs_data
 
 DATA = os.environ.get("KINEGRAPH_DATA", "")
 RATE = 60.0
@@ -172,7 +173,7 @@ def test_a_width_that_cannot_be_is_refused(width: int) -> None:
         MotionMap().open({"in": StreamSpec((width,), rate_hz=RATE, units=("cm",))})
 
 
-@pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA (the folder of real recordings) is not set")
+@needs_data
 @pytest.mark.parametrize("k", [2, 3])
 def test_real_dogs_end_on_the_plane_of_the_whole_recording(k: int) -> None:
     """Dogs walk, run and turn: 5127 frames of 27 joints, one clip after another; from the chest, the pelvis ahead."""

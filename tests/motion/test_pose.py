@@ -13,9 +13,9 @@ from stream.chunk import Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.operator import grid
 from stream.rows import taking
+from tests.support.real import needs_data
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
-needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
 KINECT = (
     "hip_center",
     "head",

@@ -17,10 +17,10 @@ from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream import cli
 from stream.chunk import NS, StreamSpec
 from stream.recording import Recording
+from tests.support.real import needs_data, real_file
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
-needs_data = pytest.mark.skipif(not DATA.exists(), reason="KINEGRAPH_DATA names no folder of recordings")
 
 
 def kinegraph(*arguments):
@@ -129,9 +129,8 @@ def test_what_is_lost_one_by_one_is_filled_in_and_costs_no_repetition(config, so
         )
 
 
-@needs_data
 def test_muscles_of_a_real_treadmill_walk_repeat_with_every_touchdown(tmp_path):
-    file = DATA / "emg" / "emg_santuz_tw12.npz"
+    file = real_file("emg/emg_santuz_tw12.npz")
     source = ("--stream", "board.emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV")
     kinegraph("import", file, "-o", tmp_path / "walk.mcap", *source)
     kinegraph("replay", CONFIGS / "segment_emg.yaml", tmp_path / "walk.mcap", "-q", "-o", tmp_path / "out.mcap")

@@ -19,6 +19,7 @@ from tests.support.browser import needs_browser
 from tests.support.horses_made import NAMES, YAML, horse, record
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import PATIENCE_S, PageProcess, needs_page, page_process
+from tests.support.real import needs_data
 
 pytestmark = [needs_page, needs_browser, pytest.mark.timeout(280)]
 
@@ -356,9 +357,7 @@ def swing_of(page: LiveBrowser, name: str, marker: str) -> int:
     return max(height) - min(height)
 
 
-@pytest.mark.skipif(
-    not os.environ.get("KINEGRAPH_DATA"), reason="the recordings of a dog are where KINEGRAPH_DATA says"
-)
+@needs_data
 def test_a_person_finds_the_lame_one_of_two_real_trots(browser: LiveBrowser, tmp_path: Path) -> None:
     with page_process(tmp_path, "map", *dogs(tmp_path), "--markers", "dog.yaml") as process:
         page = browser.open(process.url)

@@ -27,9 +27,10 @@ from tests.page.test_page_panels import SHADES, Shown
 from tests.page.test_page_views import choose, light
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
-from tests.support.convert_run import DATA, arrays, needs_data
+from tests.support.convert_run import DATA, arrays
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import needs_page, page_process
+from tests.support.real import needs_data
 
 pytestmark = [needs_data, needs_page, needs_browser, pytest.mark.timeout(280), pytest.mark.xdist_group("page real")]
 

@@ -13,6 +13,7 @@ import pytest
 import kinegraph as kg
 from devices.simulators.rendered_performer import EMPTY_S, POINTS
 from stream.chunk import NS
+from tests.devices.test_oak_network import HEAD, archive, config
 from tests.replay.replaying import CAMERA_HZ, performance, signal
 
 DEPTH, JOINTS = performance(6.0)
@@ -21,9 +22,10 @@ LOST = slice(130, 160)
 
 @pytest.fixture(scope="module")
 def replayed(tmp_path_factory: pytest.TempPathFactory) -> kg.Results:
-    network = tmp_path_factory.mktemp("network") / "pose.tar.xz"  # a replay opens no camera, and does not read it
-    network.touch()
-    graph = kg.load("avatar_oak", {"camera.network": str(network)})
+    network = archive(
+        tmp_path_factory.mktemp("network"), config(HEAD)
+    )  # a replay reads what it gives, and runs nothing
+    graph = kg.load("avatar_oak", {"camera.network": network})
     names, time = graph.specs["camera.markers"].channels, signal(DEPTH, CAMERA_HZ).time
     markers = np.full((len(DEPTH), len(names), 3), np.nan)
     for k, point in enumerate(POINTS):

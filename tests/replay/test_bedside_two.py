@@ -42,12 +42,15 @@ def test_each_is_in_bed_from_lying_down_to_getting_up(replayed: kg.Results, name
     assert rows["onset"][rows["state"] == "out"][-1] / NS == pytest.approx(night.up_s, abs=20.0)
 
 
-@pytest.mark.parametrize("number", [0, 1])
-def test_movement_is_the_movers_and_not_the_others(replayed: kg.Results, number: int) -> None:
-    """What one of them does for more than three seconds is seen on that side; the side of somebody who lies still stays quiet."""
-    epochs = replayed["activity.epochs"].data
-    epochs = epochs[(epochs["sleeper"] == SLEEPERS[number]) & (epochs["bed"] == "in") & np.isfinite(epochs["moved_s"])]
-    own, other = (NIGHTS[k].moved_s()[np.round(epochs["onset"] / NS / 30.0).astype(int)] for k in (number, 1 - number))
-    assert epochs["moved_s"][own > 4.0].sum() > 0.4 * own[own > 4.0].sum()
-    assert epochs["moved_s"][(own == 0) & (other == 0)].sum() == 0.0
-    assert epochs["moved_s"][own == 0].sum() <= 0.1 * other[own == 0].sum()
+def test_movement_is_the_movers_and_not_the_others(replayed: kg.Results) -> None:
+    """The left one moves in some epochs, the right one hardly. What may be the other's movement counts for neither, so that much is lost."""
+    rows = replayed["activity.epochs"].data
+    rows = rows[(rows["bed"] == "in") & np.isfinite(rows["moved_s"])]
+    left, right = (rows[rows["sleeper"] == name] for name in SLEEPERS)
+    moved, still = (
+        night.moved_s()[np.round(each["onset"] / NS / 30.0).astype(int)]
+        for night, each in zip(NIGHTS, (left, right), strict=True)
+    )
+    assert 0.25 * moved.sum() < left["moved_s"].sum() < 1.1 * moved.sum()
+    assert left["moved_s"][moved == 0].sum() == 0.0
+    assert right["moved_s"].sum() <= still.sum() + 0.1 * moved.sum()

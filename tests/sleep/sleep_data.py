@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
 from stream.conformance.case_samples import tapes_of
@@ -16,7 +15,6 @@ from stream.conformance.play import Player
 from stream.operator import Case, Operator
 
 DATA = os.environ.get("KINEGRAPH_DATA", "")
-needs_data = pytest.mark.skipif(not DATA, reason="KINEGRAPH_DATA does not name the folder of real recordings")
 
 
 def sleep_file(name: str) -> Path:

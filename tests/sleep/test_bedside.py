@@ -13,7 +13,7 @@ from devices.simulators.bedside import Bedside, read_stages
 from devices.simulators.night import EPOCH_S, made_up, plan
 from stream.chunk import NS
 from stream.errors import ParameterError
-from tests.sleep.sleep_data import needs_data
+from tests.support.real import needs_data
 
 SMALL = {"width": 96, "height": 72}
 

@@ -19,7 +19,8 @@ from operators.sleep.evaluation.reference import Hypnogram, read_hypnogram, stag
 from stream.chunk import NS, Array
 from stream.errors import KinegraphError
 from stream.sleep_night import SLEEP, UNKNOWN, WAKE
-from tests.sleep.sleep_data import needs_data, sleep_file
+from tests.sleep.sleep_data import sleep_file
+from tests.support.real import needs_data
 
 START = np.datetime64("2026-03-01T22:00:00")
 STAGES = {0: "W", 1: "N1", 2: "N2", 3: "N3", 5: "R", -1: "?"}

@@ -14,7 +14,8 @@ from stream.chunk import NS, Chunk, StreamSpec
 from stream.errors import InputError, KinegraphError, ParameterError
 from stream.sleep_night import SLEEP, UNKNOWN, WAKE
 from tests.sleep.depth_frames import play
-from tests.sleep.sleep_data import epochs_of, final, needs_data, run, sleep_file
+from tests.sleep.sleep_data import epochs_of, final, run, sleep_file
+from tests.support.real import needs_data
 
 
 @needs_data

@@ -16,7 +16,8 @@ from operators.sleep.statistics import SleepStatistics
 from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from stream.sleep_night import SLEEP, UNKNOWN, WAKE, night
-from tests.sleep.sleep_data import epochs_of, needs_data, play, run, sleep_file, stamped
+from tests.sleep.sleep_data import epochs_of, play, run, sleep_file, stamped
+from tests.support.real import needs_data
 
 MINUTE = 60 * NS
 SETTINGS = {

@@ -15,7 +15,6 @@ from stream.errors import RecordingError
 from stream.recording import Recording
 
 DATA = Path(os.environ["KINEGRAPH_DATA"]) if os.environ.get("KINEGRAPH_DATA") else None
-needs_data = pytest.mark.skipif(DATA is None, reason="KINEGRAPH_DATA (the folder of real recordings) is not set")
 
 
 def kinegraph(*arguments: object) -> None:

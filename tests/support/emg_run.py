@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from operators.emg.envelope import Envelope
 from stream.chunk import FOREVER, NS, Chunk, StreamSpec
 from stream.engine.merge import Merge
+from tests.support.real import real_arrays
 
 CONTACT = np.dtype([("onset", "<i8")])
 
@@ -56,11 +54,8 @@ def _pieces(port, given, size):
 
 
 def recording(name):
-    """One of the real recordings; skips where there are none."""
-    if "KINEGRAPH_DATA" not in os.environ:
-        pytest.skip("KINEGRAPH_DATA is not set: no real recordings here")
-    with np.load(Path(os.environ["KINEGRAPH_DATA"]) / "emg" / f"{name}.npz") as z:
-        return {key: z[key] for key in z.files}
+    """One of the real recordings; skips where it is not there."""
+    return {key: array.copy() for key, array in real_arrays(f"emg/{name}.npz").items()}
 
 
 def treadmill():
