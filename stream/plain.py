@@ -25,10 +25,6 @@ def one_line(text: object) -> str:
     return plain(text).replace("\n", "\\n").replace("\t", "\\t")
 
 
-TRIAL = "trial"
-"""Bound while parts are tried on made-up samples: what they log then is of nobody's session."""
-
-
 def say(text: object = "", *, err: bool = False, end: str = "\n", flush: bool = False) -> None:
     """Print to standard output, or error: in one piece, so that no other thread's line lands in it."""
     print(f"{plain(text)}{end}", file=sys.stderr if err else sys.stdout, end="", flush=flush)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import MutableMapping
 from typing import Any
 
 import structlog
 
-from stream.plain import TRIAL, plain_log
+from stream.plain import plain_log
 
 
 def set_up(*, json: bool = False, verbose: bool = False) -> None:
@@ -24,7 +23,6 @@ def set_up(*, json: bool = False, verbose: bool = False) -> None:
     structlog.configure(
         processors=[
             structlog.contextvars.merge_contextvars,
-            _not_of_trials,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso" if json else "%H:%M:%S", utc=json),
             structlog.processors.format_exc_info if json else structlog.processors.StackInfoRenderer(),
@@ -35,10 +33,3 @@ def set_up(*, json: bool = False, verbose: bool = False) -> None:
         logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
         cache_logger_on_first_use=False,
     )
-
-
-def _not_of_trials(_logger: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """A step of structlog: what parts say of made-up samples, before any device opens, is left out."""
-    if event.pop(TRIAL, False):
-        raise structlog.DropEvent
-    return event

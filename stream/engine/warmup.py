@@ -9,8 +9,8 @@ one with the same parameters is opened and tried in its place.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, MutableMapping
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,6 @@ from stream.errors import (
 from stream.graph import Graph, Node, parts
 from stream.metrics import Timing
 from stream.operator import Emitted, Operator, grid
-from stream.plain import TRIAL
 from stream.rows import taking
 from stream.source import Source
 
@@ -68,7 +67,7 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
         if not isinstance(node.part, Operator) or node.is_outlet:
             continue
         try:
-            with structlog.contextvars.bound_contextvars(**{TRIAL: True}):
+            with _unheard():
                 if type(node.part) not in seen:
                     seen.add(type(node.part))
                     _run_cases(node.part)
@@ -81,6 +80,23 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
             raise GraphError(
                 f"fails on samples made up to try it: {explain(error)}", path=node.file or graph.path, line=node.line, node=node.name
             ) from error
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Within: what this thread logs is left out, however logging is set up; operators that are tried log about made-up samples."""
+    ours, before = threading.get_ident(), structlog.get_config()["processors"]
+
+    def left_out(_logger: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+        if threading.get_ident() == ours:
+            raise structlog.DropEvent
+        return event
+
+    structlog.configure(processors=[left_out, *before])
+    try:
+        yield
+    finally:
+        structlog.configure(processors=before)
 
 
 def _run_cases(part: Operator[Any]) -> None:

@@ -21,7 +21,7 @@ class Family(NamedTuple):
 
 FAMILIES = (
     Family("samples", "counter", "samples", "Samples that a stream or a node has given."),
-    Family("rate_hertz", "gauge", "rate_hz", "Samples per second over the last second."),
+    Family("rate_hertz", "gauge", "rate_hz", "Samples per second over the last ten seconds of sample time."),
     Family("age_seconds", "gauge", "age_s", "Time since a source's last chunk."),
     Family("call_p50_seconds", "gauge", "p50_us", "Median time of a node's call.", 1e-6),
     Family("call_p99_seconds", "gauge", "p99_us", "99th percentile of the time of a node's call.", 1e-6),
