@@ -15,6 +15,7 @@ from devices.outlets.night.archive import COLUMNS, EPOCHS, Facts, iso
 from devices.outlets.night.page import draw
 from devices.outlets.night.plain import headline, sentence
 from stream.chunk import NS
+from stream.time_text import hour_of_day
 from tests.support.command_line import Command, refused
 
 ZONE = "Europe/Berlin"
@@ -86,7 +87,7 @@ def test_an_evening_with_a_nap_alone_is_not_missing_before_the_first_night(tmp_p
 def test_the_table_shows_the_minute_that_the_report_shows(tmp_path: Path) -> None:
     logged(tmp_path, "2026-11-02T23:00:45", "s" * 16)
     (one,) = weeks.rows(tmp_path)
-    assert weeks.hour(one.bed) == "23:00" and one.in_bed == 480
+    assert hour_of_day(one.bed) == "23:00" and one.in_bed == 480
 
 
 def test_a_night_in_two_parts_is_one_night(tmp_path: Path) -> None:
@@ -102,7 +103,7 @@ def test_trends_by_hand(fortnight: Path) -> None:
     # a night's sleep begins 30 or 60 min after going to bed: its middle lies 15 min later in the second week
     work, free = [3.25 + 12] * 5 + [3.5 + 12] * 4, [5.25 + 12] * 2 + [5.5 + 12] * 2
     assert found.jet_lag == pytest.approx(np.mean(free) - np.mean(work))
-    assert weeks.hour(found.bed) == "23:37" and weeks.hour(12.5) == "00:30" and weeks.hour(11.999) == "00:00"
+    assert hour_of_day(found.bed) == "23:37" and hour_of_day(12.5) == "00:30" and hour_of_day(11.999) == "00:00"
     assert found.bed_sd == pytest.approx(np.std([11.0] * 9 + [13.0] * 4, ddof=1))
 
 
@@ -120,7 +121,7 @@ def test_the_same_every_day_is_100_and_the_opposite_is_minus_100(tmp_path: Path)
 def test_daylight_saving_moves_no_bed_time(tmp_path: Path) -> None:
     for day in ("2026-10-23", "2026-10-24", "2026-10-25"):
         logged(tmp_path, f"{day}T23:00", "s" * 16)
-    assert [weeks.hour(r.bed) for r in weeks.rows(tmp_path)] == ["23:00"] * 3
+    assert [hour_of_day(r.bed) for r in weeks.rows(tmp_path)] == ["23:00"] * 3
 
 
 def test_what_nobody_knows_counts_on_neither_side(tmp_path: Path) -> None:
