@@ -228,33 +228,24 @@ class Align(_Joining):
             "emg": (emg, grid(200.0, 390) + 2_000_000, rng.normal(size=(390, 2))),
             "plate": (force, times, rng.normal(size=(60, 1))),
         }
-        people: dict[str, Any] = {
-            name: (spec, grid(30.0, 90) + late, rng.normal(size=(90, 2, 3)))
-            for name, spec, late in (
-                (
-                    "ann",
-                    StreamSpec(
-                        (2, 3), rate_hz=30.0, channels=("hip", "knee"), units=("m",), meta={"axes": BODY.facts()}
-                    ),
-                    0,
-                ),
-                (
-                    "bob",
-                    StreamSpec(
-                        (2, 3), rate_hz=30.0, channels=("hip", "knee"), units=("cm",), meta={"axes": CAMERA.facts()}
-                    ),
-                    9_000_000,
-                ),
-            )
-        }
         regular: dict[str, Any] = {port: inputs[port] for port in ("accel", "emg")}
         return [
             Case(cls(max_distance_s=0.05), inputs, least=100),
             Case(cls(rate_hz=120.0, max_distance_s=0.05, method="nearest"), inputs, least=200),
             Case(cls(method="hold"), regular, least=100),
             Case(cls(rate_hz=100.0), regular, least=150),
-            Case(cls(), people, least=80),
+            Case(cls(), _two_people(), least=80),
         ]
+
+
+def _two_people() -> dict[str, Any]:
+    """Markers of two people, in other axes and another unit, for trying operators on."""
+    rng = np.random.default_rng(16)
+    people: dict[str, Any] = {}
+    for name, unit, axes, late in (("ann", "m", BODY, 0), ("bob", "cm", CAMERA, 9_000_000)):
+        spec = StreamSpec((2, 3), rate_hz=30.0, channels=("hip", "knee"), units=(unit,), meta={"axes": axes.facts()})
+        people[name] = (spec, grid(30.0, 90) + late, rng.normal(size=(90, 2, 3)))
+    return people
 
 
 def joined_names(specs: Specs) -> tuple[str, ...]:

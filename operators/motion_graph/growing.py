@@ -9,7 +9,9 @@ from typing import ClassVar
 import numpy as np
 import structlog
 
+from operators.inputs.directions import turned_to
 from operators.motion_graph.growth import ROOM, WAITING, WINDOWS, Growth, longest_gap_ns
+from stream.axes import BODY
 from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec, Times
 from stream.errors import InputError, ParameterError, nearest
 from stream.operator import Case, Emitted, Operator, grid
@@ -54,11 +56,18 @@ class GrowingState:
     told: int = NEVER
 
 
+class _Turning(Operator[GrowingState]):
+    """What does not change while samples come: which coordinates of the input are x, y and z, and their signs."""
+
+    __slots__ = ("turn",)
+    turn: tuple[tuple[int, int, int], tuple[float, float, float]]
+
+
 @dataclass(frozen=True, slots=True)
-class GrowingGraph(Operator[GrowingState]):
+class GrowingGraph(_Turning):
     """Joints and the primitives that their segmentation finds in; nodes and edges of a motion graph out, as they are found.
 
-    in         (joints, 3) in m, cm or mm, y up
+    in         (joints, 3) in m, cm or mm, y up, or in other axes that it declares
     primitive  events with onset, end and cluster (operators.segmentation.Segment); stretches between them are nodes, too, of cluster -1.
                A stretch shorter than `shortest_s` belongs to the next one
     node       when the edges of a stretch are known: its number, onset, end, cluster; of the graph so far: how many nodes, how many of them
@@ -106,6 +115,7 @@ class GrowingGraph(Operator[GrowingState]):
         ]
         blend = max(2, round((self.blend_s * rate_hz - 1) / 2))
         growth = Growth.empty(joints, samples_in("memory_s", self.memory_s, rate_hz), self.most_nodes, blend)
+        object.__setattr__(self, "turn", turned_to(BODY, spec))
         scale, gap_ns = METRES[spec.units[0]], longest_gap_ns(rate_hz)
         taken_s = (2 * WINDOWS + 2) / rate_hz
         self.hold(
@@ -123,8 +133,9 @@ class GrowingGraph(Operator[GrowingState]):
             for event in chunk.data:
                 self._take(int(event["onset"]), int(event["end"]), int(event["cluster"]))
         else:
-            s = self.state
-            for stamp, joints in zip(chunk.time.tolist(), np.asarray(chunk.data, np.float64), strict=True):
+            s, (columns, signs) = self.state, self.turn
+            data = np.asarray(chunk.data, np.float64)[..., columns] * signs
+            for stamp, joints in zip(chunk.time.tolist(), data, strict=True):
                 points = s.scale * joints[s.order]
                 if not self.origin:
                     points = np.concatenate([points[s.sides - 1].mean(axis=0)[None], points])

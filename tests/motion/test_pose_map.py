@@ -159,7 +159,10 @@ def test_a_trained_map_places_a_live_pose_as_it_did_its_own(index: MotionIndex, 
     with pytest.raises(KinegraphError, match=r"withers\.x"):
         PoseGrid(model=tmp_path / "m.npz").open({"in": SPEC})
     with pytest.raises(KinegraphError, match="trained on"):
-        PoseGrid(model=tmp_path / "m.npz").open({"in": spec.derive(units=("mm",))})
+        PoseGrid(model=tmp_path / "m.npz").open({"in": spec.derive(units=("deg",))})
+    in_cm = through(PoseGrid(model=tmp_path / "m.npz"), 100 * frames, spec.derive(units=("cm",)))
+    np.testing.assert_allclose(in_cm["place"], found["place"], atol=1e-6)
+    np.testing.assert_allclose(in_cm["error"], found["error"] * [100.0, 1.0], rtol=1e-6, atol=2e-3)
 
 
 def test_the_index_is_read_as_it_was_written(index: MotionIndex, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ class Site(StrEnum):
     other = "other"
 
 
-class Axes(StrEnum):
+class SensorAxes(StrEnum):
     """What features are of."""
 
     gravity = "gravity"
@@ -64,7 +64,7 @@ def steps(
     target: Annotated[StepTarget, typer.Option(help="the column that is learned; person: re-identification")],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("steps.npz"),
     site: Annotated[Site, typer.Option(help="where the sensor was worn")] = Site.lower_back,
-    axes: Annotated[Axes, typer.Option(help="axes by gravity, or the sensor's own")] = Axes.gravity,
+    axes: Annotated[SensorAxes, typer.Option(help="axes by gravity, or the sensor's own")] = SensorAxes.gravity,
     features: Annotated[Features, typer.Option(help="the features that the model takes")] = Features.both,
     stream: Annotated[str, typer.Option(help="the sensor's signal [default: the only one that it can be]")] = "",
     alike: Annotated[
