@@ -50,7 +50,7 @@ class _Joining(Operator[AlignState]):
 
 @dataclass(frozen=True, slots=True)
 class Align(_Joining):
-    """The channels of all inputs side by side, at the stamps of the first input, or on a common grid of `rate_hz`; or all their points.
+    """The channels of all inputs side by side, at the stamps of the first input, or on a common grid of `rate_hz`.
 
     Between the samples of a stream its value is found by `method`: on a straight line between the samples on both sides (linear), from the
     newest sample at or before (hold), or from the nearest one. Samples further away than `max_distance_s` do not count, for linear on
@@ -62,7 +62,7 @@ class Align(_Joining):
     delay    a row waits for each stream's next sample, for `max_distance_s` at most; `hold` waits for nothing
     names    as they are; those that several streams share get the input's name before them, as in "board.x". Streams without names
              are called by their input's name and a number
-    points   markers (points, 3) of several people, say, become one stream of all their points, in the first one's unit and axes; those
+    points   markers (points, 3), of several people, say, become one stream of all their points, in the first one's unit and axes; those
              of an input that declares other axes are turned
 
     No anti-alias filter is in it: a stream that is much faster than the rows should be low-passed first.
