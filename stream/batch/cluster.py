@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from stream.errors import KinegraphError
@@ -43,12 +44,13 @@ class Lost:
 
 
 @contextmanager
-def workers(where: str, count: int, memory_bytes: int, retries: int) -> Iterator[Client]:
+def workers(where: str, count: int, memory_bytes: int, retries: int, folder: Path = Path()) -> Iterator[Client]:
     """Within: workers, each of which does one job at a time.
 
-    where         "local"; "slurm", "pbs" (dask-jobqueue) or "kubernetes" (dask-kubernetes); or the address of a Dask scheduler
+    where         "local"; "slurm", "pbs" (dask-jobqueue); or the address of a Dask scheduler
     memory_bytes  what a job may need; a queue is asked for as much for each worker
     retries       how often a job whose worker died is given to another
+    folder        where all workers find the certificates of a queue's batch; its owner's alone
     """
     dask, distributed = _dask()
     settings = {
@@ -60,10 +62,12 @@ def workers(where: str, count: int, memory_bytes: int, retries: int) -> Iterator
         "distributed.worker.daemon": False,
         "distributed.worker.profile.enabled": False,  # which looks at every worker's stack a hundred times a second
         "distributed.admin.tick.limit": "1h",
+        "distributed.scheduler.http.routes": [],  # which answer any host name, and so any web page
+        "distributed.worker.http.routes": [],
     }
     with dask.config.set(settings), ExitStack() as stack:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        made = _cluster(distributed, where, count, memory_bytes)
+        made = _cluster(distributed, where, count, memory_bytes, folder)
         cluster = stack.enter_context(made) if made is not None else None
         try:
             client = distributed.Client(cluster if cluster is not None else where, timeout=PATIENCE_S)
@@ -112,7 +116,7 @@ def _room(places: int, at_work: int, given: int, total: int) -> int:
     return window - at_work if at_work <= window // 2 else 0
 
 
-def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any:
+def _cluster(distributed: Any, where: str, count: int, memory_bytes: int, folder: Path) -> Any:
     """The cluster that is made for this batch; None where one already exists."""
     mebibytes = max(memory_bytes >> 20, 1)
     if where == LOCAL:
@@ -139,22 +143,29 @@ def _cluster(distributed: Any, where: str, count: int, memory_bytes: int) -> Any
             "--memory-limit",
             "0",
         ]  # the queue ends what takes too much; Dask would let it stand still at 80 %
-        return queue(cores=1, processes=1, memory=f"{mebibytes}MiB", n_workers=count, worker_extra_args=unlimited)
-    if where == KUBERNETES:
-        operator = optional(
-            "dask_kubernetes.operator", "--cluster kubernetes", "pip install 'kinegraph[kubernetes]'", ClusterError
-        )
-        return operator.KubeCluster(
-            name="kinegraph-{uuid}",  # a cluster of this batch's own: one of the same name would be joined, and closed for others
+        prologue = dask.config.get(f"jobqueue.{where}.job-script-prologue", None) or []
+        return queue(
+            cores=1,
+            processes=1,
+            memory=f"{mebibytes}MiB",
             n_workers=count,
-            resources={"requests": {"memory": f"{mebibytes}Mi"}},
-            worker_command=["dask", "worker", "--nthreads", "1"],
+            worker_extra_args=unlimited,
+            job_script_prologue=[*prologue, "export DASK_DISTRIBUTED__WORKER__HTTP__ROUTES='[]'"],
+            protocol="tls://",
+            security=_private(distributed),
+            shared_temp_directory=str(folder.absolute()),
+            scheduler_options={"dashboard_address": "127.0.0.1:0"},
+        )
+    if where == KUBERNETES:
+        raise ClusterError(
+            "--cluster kubernetes: dask-kubernetes starts a scheduler that takes jobs from every pod that reaches it; "
+            "start one with TLS yourself, and give its address: --cluster tls://HOST:PORT"
         )
     return None
 
 
 def _private(distributed: Any) -> Any:
-    """Certificates made for this batch: what listens on the loopback takes jobs from nobody else."""
+    """Certificates made for this batch: what listens takes jobs from nobody else."""
     try:
         return distributed.security.Security.temporary()
     except ImportError:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from stream.batch.cluster import LOCAL, Lost, spread, workers
 from stream.batch.jobs import Job
@@ -22,6 +25,7 @@ from stream.graph import Graph
 from stream.graph.plan import plan
 from stream.recording import Recording
 
+LOCK = ".lock"
 WORKER_BYTES = 400_000_000
 """What a worker takes before it holds anything of a job: Python, numba, the kernels, Arrow."""
 
@@ -78,18 +82,38 @@ def batch(
     """
     arrow()
     private_folder(folder)
-    needed = memory_of(common, jobs)
-    count = number_of_workers(where, count, len(jobs), needed)
-    common.save(folder)
-    tally, manifest = BatchState(len(jobs)), Manifest(folder)
-    progress(tally)
-    try:
-        for entry, now in _done(folder, jobs, manifest, where=where, count=count, needed=needed, retries=retries):
-            tally.add(entry, now)
-            progress(tally)
-    finally:
-        write_lists(manifest)
+    with _owned(folder):
+        needed = memory_of(common, jobs)
+        count = number_of_workers(where, count, len(jobs), needed)
+        common.save(folder)
+        tally, manifest = BatchState(len(jobs)), Manifest(folder)
+        progress(tally)
+        one = partial(do, folder.absolute(), digest=common.digest)
+        try:
+            with workers(where, count, needed, retries, folder) as client:
+                for job, came in spread(client, one, jobs):
+                    entry, now = (_lost(manifest, job, came.error), True) if isinstance(came, Lost) else came
+                    tally.add(entry, now)
+                    progress(tally)
+        finally:
+            write_lists(manifest)
     return tally
+
+
+@contextmanager
+def _owned(folder: Path) -> Iterator[None]:
+    """Within: the folder is this batch's alone. Raises KinegraphError while another one is at work there."""
+    held = FileLock(folder / LOCK)
+    try:
+        held.acquire(blocking=False)
+    except Timeout:
+        raise KinegraphError(
+            f"{folder}: another batch is at work there; name another folder with -o, or wait"
+        ) from None
+    try:
+        yield
+    finally:
+        held.release()
 
 
 def memory_of(common: Common, jobs: Sequence[Job]) -> int:
@@ -124,15 +148,6 @@ def _waiting(graph: Graph) -> int:
     """Bytes of rows that wait for the tables."""
     specs = [graph.nodes[edge.node].specs[edge.output] for edge in recorded_edges(graph)]
     return sum(ROWS * (spec.sample_bytes + 16) * 2 for spec in specs)
-
-
-def _done(
-    folder: Path, jobs: Sequence[Job], manifest: Manifest, *, where: str, count: int, needed: int, retries: int
-) -> Iterator[tuple[JobEntry, bool]]:
-    """What comes of the jobs, in the order in which they end."""
-    with workers(where, count, needed, retries) as client:
-        for job, came in spread(client, partial(do, folder.absolute()), jobs):
-            yield (_lost(manifest, job, came.error), True) if isinstance(came, Lost) else came
 
 
 def _lost(manifest: Manifest, job: Job, error: BaseException) -> JobEntry:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping
@@ -44,6 +45,11 @@ class Common:
         """Raises OSError."""
         write_complete(folder / STUDY, json.dumps(asdict(self)))
 
+    @property
+    def digest(self) -> str:
+        """What the jobs of a batch know it by."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
     @classmethod
     def load(cls, folder: Path) -> Common:
         return cls(**json.loads((folder / STUDY).read_text(encoding="utf-8")))
@@ -57,12 +63,16 @@ class Common:
         )
 
 
-def do(folder: Path, job: Job) -> tuple[JobEntry, bool]:
+def do(folder: Path, job: Job, *, digest: str = "") -> tuple[JobEntry, bool]:
     """Do a job, unless what its results depend on is as it was: what came of it, and whether it was done now.
 
-    What is wrong with a graph, a recording or the disk is in the entry; nothing is raised for it.
+    What is wrong with a graph, a recording or the disk is in the entry; nothing is raised for it. `digest` is that of the job's batch, ""
+    that of any: a job whose batch has lost the folder to another one fails and writes nothing.
     """
     manifest, common, began = Manifest(folder), Common.load(folder), time.monotonic()
+    if digest not in ("", common.digest):
+        other = f"{folder} is another batch's now, with another graph or other options; nothing was written"
+        return JobEntry(job.key, job.name, job.settings, "failed", "", error=other), True
     before = manifest.load(job.key)
     told: dict[str, Any] = {"key": job.key, "name": job.name, "settings": job.settings, "digest": ""}
     try:

@@ -38,7 +38,7 @@ def batch(
     ] = None,
     cluster: Annotated[
         str,
-        typer.Option(metavar="WHERE", help="local, slurm, pbs, kubernetes, or the address of a Dask scheduler"),
+        typer.Option(metavar="WHERE", help="local, slurm, pbs, or the address of a Dask scheduler"),
     ] = "local",
     workers: Annotated[
         int, typer.Option(help="jobs at the same time; 0: one for each core, as far as the memory goes", min=0)

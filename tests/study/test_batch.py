@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import json
 import os
 import re
@@ -17,9 +18,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import dask
 import numpy as np
 import pandas
 import pytest
+from filelock import FileLock
 from rich.console import Console
 
 import kinegraph as kg
@@ -472,32 +475,55 @@ def test_through_slurm_itself(folder: Path) -> None:
     assert set(kg.BatchResults("out").to_pandas("smooth")["recording"]) == {"s1", "s2"}
 
 
-def test_what_kubernetes_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The resource that dask-kubernetes would create; there is no Kubernetes to create it in."""
-    operator = pytest.importorskip(
-        "dask_kubernetes.operator", reason="dask-kubernetes is not installed (extra `peers`)"
-    )
-    asked: list[dict[str, Any]] = []
-
-    def cluster(*, name: str, n_workers: int, resources: dict[str, Any], worker_command: list[str]) -> None:
-        asked.append(
-            operator.make_cluster_spec(name, n_workers=n_workers, resources=resources, worker_command=worker_command)
-        )
-        raise ClusterError("no Kubernetes here")
-
-    monkeypatch.setattr(operator, "KubeCluster", cluster)
-    with pytest.raises(ClusterError, match="no Kubernetes"), workers("kubernetes", 3, 1 << 30, 1):
+def test_kubernetes_is_refused_as_its_scheduler_takes_jobs_from_anybody() -> None:
+    with pytest.raises(ClusterError, match="tls://HOST:PORT"), workers("kubernetes", 1, 1 << 30, 1):
         pass
-    worker = asked[0]["spec"]["worker"]
-    (container,) = worker["spec"]["containers"]
-    assert worker["replicas"] == 3 and container["resources"] == {"requests": {"memory": "1024Mi"}}
-    assert container["args"][:4] == ["dask", "worker", "--nthreads", "1"]
 
 
-@pytest.mark.parametrize("where", ["slurm", "pbs", "kubernetes"])
+@pytest.mark.parametrize("where", ["slurm", "pbs"])
+def test_the_scheduler_of_a_queue_takes_jobs_with_the_batchs_certificate_only(
+    where: str, tmp_path: Path, queue: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("dask_jobqueue")
+    monkeypatch.setenv(f"DASK_JOBQUEUE__{where.upper()}__INTERFACE", "lo")
+    dask.config.refresh()
+    out = tmp_path / "out"
+    out.mkdir(mode=0o700)
+    with workers(where, 0, 1 << 30, 1, out) as client:
+        address = client.scheduler_info()["address"]
+        script = client.cluster.job_script()
+        certificates = [path for path in out.iterdir() if path.is_file()]
+    assert address.startswith("tls://")
+    assert "--protocol tls://" in script and f"--tls-key {out}" in script and "WORKER__HTTP__ROUTES='[]'" in script
+    assert certificates and not any(path.stat().st_mode & 0o077 for path in certificates)
+
+
+def test_dasks_web_pages_are_off() -> None:
+    with workers("local", 0, 1 << 30, 1) as client:
+        port = client.cluster.scheduler.http_server.port
+        with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
+            connection.request("GET", "/health")
+            with connection.getresponse() as answer:
+                assert answer.status == 404
+
+
+def test_a_second_batch_in_the_same_folder_is_refused(folder: Path, kinegraph: Command) -> None:
+    (folder / "out").mkdir()
+    with FileLock(folder / "out" / ".lock"):
+        refused(kinegraph("batch", "graph.yaml", "s1", "-o", "out"), "out: another batch is at work there")
+    assert not (folder / "out" / ".graph.json").exists()
+
+
+def test_a_job_of_another_batch_writes_nothing(folder: Path) -> None:
+    mine, other = common(), Common(GRAPH + "# another\n", "graph", str(folder / "graph.yaml"))
+    out = out_with(other)
+    entry, now = do(out, Job(folder / "s1", "s1"), digest=mine.digest)
+    assert entry.failed and now and "another batch" in entry.error
+    assert [path.name for path in out.iterdir()] == [".graph.json"]
+
+
+@pytest.mark.parametrize("where", ["slurm", "pbs"])
 def test_a_cluster_without_its_library_is_refused(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
-    monkeypatch.setitem(sys.modules, "dask_kubernetes.operator", None)
-    extra = "kubernetes" if where == "kubernetes" else "queue"
-    with pytest.raises(ClusterError, match=rf"pip install 'kinegraph\[{extra}\]'"), workers(where, 1, 1 << 30, 1):
+    with pytest.raises(ClusterError, match=r"pip install 'kinegraph\[queue\]'"), workers(where, 1, 1 << 30, 1):
         pass
