@@ -50,7 +50,7 @@ test-peers: .venv/installed-for-tests
 # damaged copies of valid files of every format and of every kind of model, FUZZ_S seconds each, others every day
 FUZZ_S ?= 60
 fuzz: .venv/installed-for-tests
-	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest tests/files/test_fuzz_files.py tests/files/test_fuzz_models.py -n 2
+	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest tests/files/test_fuzz_files.py tests/files/test_fuzz_models.py tests/page/test_fuzz_view.py -n 2
 
 # all three uses at once in real time under random faults, every sample accounted for; then ten hours of each as fast as they go.
 # A week: make soak SOAK_MIN=10080

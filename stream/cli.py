@@ -48,10 +48,10 @@ A real-time engine for motion and biosignal devices: graphs in YAML, live or rep
 
 def main() -> None:
     """The entry point: errors that a user can act on are printed without a traceback; the exit code tells what kind they were."""
-    arguments = sys.argv[1:]
-    _make_sure_of_outputs()
-    be_private()
     try:
+        arguments = sys.argv[1:]
+        _make_sure_of_outputs()
+        be_private()
         with _terminable() as terminated:
             try:
                 _main(arguments)
@@ -61,7 +61,7 @@ def main() -> None:
                 ):  # which is what click makes of any interruption
                     raise Terminated from None
                 raise
-    except Terminated as end:
+    except KeyboardInterrupt as end:  # also before a command has begun, while it is being imported
         _stop(end)
 
 

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.command_line import KINEGRAPH
+from stream.errors import Interrupted, Terminated
+from tests.support.command_line import KINEGRAPH, Command, kinegraph
+
+__all__ = ["kinegraph"]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM that can be heard")
@@ -75,3 +78,14 @@ def test_a_signal_in_the_midst_of_the_compilers_work_is_no_crash(
     assert "linked" in done.stdout, done.stdout + done.stderr
     assert done.returncode == (143 if sent == signal.SIGTERM else 130), done.stdout + done.stderr
     assert "Traceback" not in done.stderr and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("came", "code"), [(KeyboardInterrupt, 130), (Interrupted, 130), (Terminated, 143)])
+def test_an_interruption_before_the_command_has_begun_is_no_traceback(
+    kinegraph: Command, monkeypatch: pytest.MonkeyPatch, came: type[BaseException], code: int
+) -> None:
+    def importing(name: str) -> None:
+        raise came
+
+    monkeypatch.setattr("stream.cli.function_of", importing)
+    assert kinegraph("info", "x.mcap") == (code, "", "kinegraph: stopped\n")
