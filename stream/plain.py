@@ -11,6 +11,8 @@ import sys
 from collections.abc import MutableMapping
 from typing import Any
 
+from stream.units import shown
+
 HARMFUL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]")
 """Control characters but line feed and tab, what turns the direction of writing, and halves of characters."""
 
@@ -26,8 +28,8 @@ def one_line(text: object) -> str:
 
 
 def say(text: object = "", *, err: bool = False, end: str = "\n", flush: bool = False) -> None:
-    """Print to standard output, or error: in one piece, so that no other thread's line lands in it."""
-    print(f"{plain(text)}{end}", file=sys.stderr if err else sys.stdout, end="", flush=flush)
+    """Print to standard output, or error: in one piece, so that no other thread's line lands in it. Units have their micro sign."""
+    print(f"{shown(plain(text))}{end}", file=sys.stderr if err else sys.stdout, end="", flush=flush)
 
 
 def plain_log(_logger: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
@@ -37,7 +39,7 @@ def plain_log(_logger: object, _method: str, event: MutableMapping[str, Any]) ->
 
 def _shown(value: Any) -> Any:
     if isinstance(value, str):
-        return one_line(value)
+        return shown(one_line(value))
     if isinstance(value, dict):
         return {one_line(key): _shown(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

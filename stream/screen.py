@@ -9,6 +9,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
 from stream.plain import HARMFUL, plain
+from stream.units import MICRO, shown
 
 ROOMY = 200
 """Columns of what is no terminal (a pipe, a file), which is as wide as it takes."""
@@ -23,9 +24,9 @@ class Screen(Console):
             self.width = ROOMY
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """As rich does, with texts made plain; control sequences of rich's own are segments apart, and stay."""
+        """As rich does, with texts made plain and the micro sign in units; control sequences of rich's own are segments apart, and stay."""
         for segment in super().render(renderable, options):
-            if segment.control is None and HARMFUL.search(segment.text):
-                yield Segment(plain(segment.text), segment.style)
+            if segment.control is None and (HARMFUL.search(segment.text) or MICRO.search(segment.text)):
+                yield Segment(shown(plain(segment.text)), segment.style)
             else:
                 yield segment

@@ -20,6 +20,7 @@ from stream.graph import Graph
 from stream.plain import plain
 from stream.screen import Screen
 from stream.time_text import elapsed, rate
+from stream.units import shown
 
 REFRESH_HZ = 2.0
 LINE_S = 10.0
@@ -140,7 +141,7 @@ class LineView(TerminalView):
     def _say(self, line: str) -> None:
         """Print a line; where nobody reads any more (`| head`, a full disk), the session goes on without being shown."""
         try:
-            print(plain(line), file=self._file, flush=True)
+            print(shown(plain(line)), file=self._file, flush=True)
         except OSError as error:
             self._file = _nowhere(error)
 

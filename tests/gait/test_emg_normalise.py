@@ -92,7 +92,7 @@ def test_rest_is_the_mean_and_the_baseline_noise(walked, tmp_path):
     )
     blocks = emg()[2].reshape(12, 10, 100, 2).std(axis=2).min(axis=1)
     np.testing.assert_allclose(found.noise, blocks.mean(axis=0), rtol=1e-12)
-    assert "rest (uV)" in told and "noise (uV)" in told
+    assert "rest (µV)" in told and "noise (µV)" in told
 
 
 @pytest.mark.parametrize("kind", ["rest", "mvc"])

@@ -19,6 +19,7 @@ from stream.mesh import Topology
 from stream.operator import Operator
 from stream.outlet import Outlet
 from stream.recording.image import is_picture
+from stream.units import shown as micro
 
 Kind: TypeAlias = Literal["signal", "events", "frame", "points", "curves", "mesh", "pose"]
 
@@ -98,7 +99,7 @@ def _within_a_row(graph: Graph, edge: Edge) -> bool:
 
 def described(name: str, spec: StreamSpec) -> dict[str, Any]:
     """A stream, for the page."""
-    fields = [[field, spec.dtype[field].kind, spec.unit_of(field)] for field in scalar_fields(spec)]
+    fields = [[field, spec.dtype[field].kind, micro(spec.unit_of(field))] for field in scalar_fields(spec)]
     skeleton = bones_of(spec)
     units = [spec.unit_of(c) for c in spec.channels] if spec.channels and not spec.is_event else [*spec.units[:1]]
     return {
@@ -107,9 +108,13 @@ def described(name: str, spec: StreamSpec) -> dict[str, Any]:
         "shape": [len(skeleton.joints), 3] if skeleton else [*spec.shape],
         "rate_hz": spec.rate_hz,
         "channels": skeleton.joints if skeleton else [] if spec.is_event else [*spec.channels],
-        "units": [] if spec.is_event else units,
+        "units": []
+        if spec.is_event
+        else units
+        if kind_of(spec) in ("points", "mesh", "pose")
+        else [*map(micro, units)],
         "fields": fields,
-        "describe": spec.describe(),
+        "describe": micro(spec.describe()),
         "avatar": avatar_bones(spec),
         "bones": skeleton.pairs if skeleton else _pairs(spec.meta.get("bones")),
         "down": (axes := Axes.of(spec)) is not None and axes.up == "-y",
