@@ -2,7 +2,6 @@
 # make check: lint, types, the laws on three operators (make check OPERATORS="Envelope or Cycles": on others), a quick test of each subject.
 # make test: everything that guards a change.
 # make nightly: make test and all that takes long: hard nights, long sessions, fuzzing by the minute, peers, every page in the browser.
-# make mutants: 100 random changes to operators/ and stream/, of which the tests must notice at least 90 %; a while (SEED=2 draws others).
 # make test-peers: software written elsewhere reads what kinegraph writes; installed for the purpose.
 # make site: the documentation as a site, in site/. make dist: wheel and sdist, in dist/.
 # Each needs Python >= 3.11 and nothing else; the environment is made in .venv.
@@ -14,7 +13,7 @@ OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
 BIN := .venv/bin
 
-.PHONY: demo check test nightly mutants test-peers bench fuzz soak nights audit licences site dist clean
+.PHONY: demo check test nightly test-peers bench fuzz soak nights audit licences site dist clean
 
 demo: .venv/installed
 	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) \
@@ -28,9 +27,6 @@ check: .venv/installed-for-tests
 	$(BIN)/mypy --num-workers 2
 	$(BIN)/pytest -q tests/laws/test_laws.py -k "$(OPERATORS)"
 	$(BIN)/pytest -q -m "quick and not nightly"
-
-mutants: .venv/installed-for-tests
-	$(BIN)/python -m tests.mutation --seed $(SEED)
 
 test: .venv/installed-for-tests
 	$(BIN)/python -m tests.compile_kernels

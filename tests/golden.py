@@ -1,424 +1,272 @@
-"""`python -m tests.golden --write [WORDS]`: renew the golden answers of the operators in whose path one of the words stands (of all: none).
+"""`python -m tests.golden [WORD] [--write]`: what operators and commands answer otherwise than tests/laws/golden says.
 
-A golden answer is a summary of what an operator gives: on the samples of its `cases`, on the same with gaps and bad values, rounded,
-standing still, louder and backwards, with each parameter turned to another value; and what it answers to parameters and streams that it may
-refuse. One file an operator, in tests/laws/golden; one line an answer. `tests/laws/test_golden_answers.py` compares. Without `--write`
-nothing is written; either way it prints which answers changed, and how: give the reason in the commit.
+A golden answer is a table that a person can review. Of an operator: one of its `cases()`, a few samples of each input and output,
+with channels, units and stamps in seconds. Of a command: what it prints. WORD chooses by name: `gait`, `Envelope`, `train-map`. With
+`--write` the answers of today are kept; the commit says why they changed.
 """
 
 from __future__ import annotations
 
 import argparse
-import random
 import re
 import sys
-import time
-import zlib
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import MISSING, dataclass, fields, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import MISSING, fields
 from functools import partial
-from itertools import islice
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, Array, Specs, StreamSpec
-from stream.conformance.broken import Broken
-from stream.conformance.case_samples import Tapes, tapes_of, with_faults
-from stream.conformance.cut import Delivery, steps, whole
-from stream.conformance.play import Output, Player
-from stream.errors import KinegraphError
+from stream.chunk import FOREVER, NEVER, NS, Array, StreamSpec
+from stream.conformance.case_samples import tapes_of
+from stream.conformance.cut import whole
+from stream.conformance.play import Player
 from stream.graph.parts import catalogue, find
-from stream.operator import Case, Operator
-from tests.other_samples import otherwise, rounded_off, with_data
+from stream.operator import Operator
 
-HOUSE = Path(__file__).resolve().parent.parent
 ANSWERS = Path(__file__).parent / "laws" / "golden"
-FAULTS = 6
-"""On so many drawings of gaps and bad values each case is tried."""
-WIDTH = 8
-"""Numbers of a sample that are summed up one by one; of more, every eighth goes to the same sum."""
-RELATIVE = 2e-6
-"""How far a sum may be off, relative to the root mean square of what is summed: processors round functions differently."""
-NOTHING = 1e-15
-"""What rounding leaves of numbers that cancel each other."""
-PROBES, LARGE, HUGE = (-1, 0, 0.5), 1000, 1_000_000_000
-"""Given to every parameter that is a number: which of them are refused, and in which words. Huge ones only where there is a bound, since
-a window of 30 years is refused by one machine's memory and not by another's."""
-RATES, PERIODS = (0.3, 0.49, 0.5, 1.0), (0.4, 1.0, 2.5)
-"""Given to every parameter in Hz, of the first input's rate, and to every one in seconds, in its periods."""
-FEW = 4
-"""Times are exact where on average so many of them lie as long after one that was given."""
-TOLD: dict[str, Any] = {
-    "side": "left",
-    "label": "made up",
-    "device": "made up",
-    "height_unit": "cm",
-    "limb_names": ["left", "right"],
-}
-"""What a source may have said of its stream: which operators pass on, some refuse, and some go by."""
-MOST = 20
-"""So many changes of one operator are printed."""
-SAME = "as: "
-"""Stands in the file before the name of another answer."""
+MAX_LINES = 40
+MAX_BYTES = 1_000_000
+"""Of all golden answers together."""
+INPUT_ROWS, OUTPUT_ROWS = 3, 12
+"""At most so many samples of an input and of an output are shown."""
+MANY = 6
+"""Of so many streams, one sample of each input."""
+COLUMNS, ELEMENTS = 8, 3
+"""At most so many numbers of a sample, and of an event's field that is an array."""
+DIGITS = 5
+"""Of a column's largest value; all others are rounded to the same place."""
+NOISE = 1e-9
+"""Relative to a stream's largest value: what rounding leaves of numbers that cancel each other is shown as 0."""
+NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d+)?(?:e[-+]\d+)?", re.ASCII)
 
-Answers = dict[str, str]
-"""By what was asked, the summary."""
+Column = tuple[str, list[str]]
+"""A head and one text for each row."""
 
 
-def answers(use: str) -> Answers:
-    """All golden answers of an operator, by their names."""
-    return dict(given(use))
-
-
-def given(use: str) -> Iterator[tuple[str, str]]:
-    """One golden answer after the other, with its name; on all cases what costs little comes first, so that most changes are soon found."""
+def answer(use: str) -> str:
+    """An operator's golden answer: the first of its cases that gives output."""
     cls = find(use)
     assert issubclass(cls, Operator)
-    asked = [_Asked(k, case, tapes_of(case)) for k, case in enumerate(cls.cases())]
-    for questions in (_Asked.opened, _Asked.plain, _Asked.faults, _Asked.otherwise, _Asked.turned):
-        for one in asked:
-            for name, ask in questions(one):
-                for part, text in _caught(ask).items():
-                    yield f"{one.place} {name} {part}".strip(), text
+    for case in cls.cases():
+        tapes = tapes_of(case)
+        player = Player(case).play(whole(tapes))
+        if any(len(output) for output in player.outputs.values()):
+            break
+    inputs = [(port, t.spec, t.time, t.data) for port, t in tapes.items()]
+    outputs = [(name, o.spec, o.time, o.data) for name, o in player.outputs.items()]
+    start = min(int(time[0]) for _, _, time, _ in inputs if len(time))
+    lines = [_called(case.operator), _timing(player.operator)]
+    most = INPUT_ROWS if len(inputs) + len(outputs) < MANY else 1
+    for port, spec, time, data in inputs:
+        lines += ["", *table(f"in   {port}", spec, time, data, _rows(len(time), most), start)]
+    filled = sum(len(time) > 0 for _, _, time, _ in outputs)
+    room = (MAX_LINES - len(lines) - 2 * len(outputs) - filled) // filled
+    for name, spec, time, data in outputs:
+        rows = _rows(len(time), min(OUTPUT_ROWS, max(1, room - 1)))
+        lines += ["", *table(f"out  {name}", spec, time, data, rows, start, mean=room > 1)]
+    return "".join(f"{line.rstrip()}\n" for line in lines)
 
 
-Questions = Iterator[tuple[str, Callable[[], Answers]]]
-
-
-@dataclass(slots=True)
-class _Asked:
-    """A case, and the questions on it, by what they cost; some are asked on the first case only."""
-
-    place: int
-    case: Case
-    tapes: Tapes
-    _faults: list[Tapes] | None = None
-
-    def opened(self) -> Questions:
-        """What needs no sample."""
-        yield "opened", lambda: _opened(self.case.operator, {port: t.spec for port, t in self.tapes.items()})
-        if self.place:
-            return
-        yield "declared", lambda: _declared(type(self.case.operator))
-        for port, tape in self.tapes.items():
-            for name, spec in _other_specs(tape.spec):
-                specs = {p: spec if p == port else t.spec for p, t in self.tapes.items()}
-                yield f"{port}-{name}", partial(_opened, self.case.operator, specs)
-        probed = (*_probed(self.case.operator), *_by_rate(self.case))
-        for name, given in {f"{field}?{value!r}": {field: value} for field, value in probed}.items():
-            yield name, partial(_given, self.case, given)
-
-    def plain(self) -> Questions:
-        size = max(1, max(len(t) for t in self.tapes.values()) // 20)
-        yield "plain", lambda: _played(self.case, steps(self.tapes, size))
-
-    def faults(self) -> Questions:
-        for k, faulty in enumerate(self._faulty()):
-            yield f"fault-{k}", partial(_played, self.case, whole(faulty))
-
-    def otherwise(self) -> Questions:
-        for name, other in otherwise(self.tapes, self.case.operator):
-            yield name, partial(_played_on, self.case, other)
-
-    def turned(self) -> Questions:
-        for field, value in () if self.place else _turned(self.case.operator):
-            yield f"{field}={value!r}", partial(_played_with, self.case, {field: value}, self.tapes)
-            rounded = with_data(self.tapes, rounded_off)
-            yield f"{field}={value!r} rounded", partial(_played_with, self.case, {field: value}, rounded)
-            for faulty in self._faulty()[:1]:
-                yield f"{field}={value!r} fault-0", partial(_played_with, self.case, {field: value}, faulty)
-
-    def _faulty(self) -> list[Tapes]:
-        """The samples with at least two faults, drawn some times."""
-        if self._faults is None:
-            drawn = (with_faults(random.Random(seed).randint, self.tapes, 2.0) for seed in range(50))
-            self._faults = [*islice((faulty for faulty, told in drawn if len(told) > 1), FAULTS)]
-        return self._faults
-
-
-def _caught(ask: Callable[[], Answers]) -> Answers:
-    try:
-        return ask()
-    except (KinegraphError, Broken) as error:
-        return {"": f"{type(error).__name__}: {_rounded(str(error))}"}
-    except Exception as error:  # noqa: BLE001  no operator should; but where one does, that is its answer
-        return {"": type(error).__name__}
-
-
-def _played(case: Case, delivery: Delivery) -> Answers:
-    player, given = Player(case).play(delivery), _times_given(delivery)
-    return {name: " ".join(_summary(output, given)) for name, output in player.outputs.items()} or {"": "runs"}
-
-
-def _times_given(delivery: Delivery) -> Array:
-    """Every time that an operator is given: stamps, ends of chunks, and what events say."""
-    found = [np.zeros(1, np.int64)]
-    for _, chunk in delivery:
-        found += [chunk.time, [chunk.until] if abs(chunk.until) < FOREVER - 1 else []]
-        found += [np.ravel(chunk.data[n]) for n in chunk.data.dtype.names or () if chunk.data.dtype[n].base == np.int64]
-    return np.unique(np.concatenate(found).astype(np.int64))
-
-
-def _played_on(case: Case, tapes: Tapes) -> Answers:
-    """On samples whose specs may be others than the case's, too."""
-    inputs = {port: (tape.spec, tape.time, tape.data) for port, tape in tapes.items()}
-    return _played(replace(case, inputs=inputs), whole(tapes))
-
-
-def _declared(cls: type[Operator[Any]]) -> Answers:
-    """What its parameters are when nobody gives them, and within which bounds they may be."""
-    told = {}
-    for f in fields(cls):  # type: ignore[arg-type]
-        bounds = {k: v for k, v in sorted(f.metadata.get("kinegraph", {}).items()) if k != "description"}
-        told[f.name] = _rounded(f"{'required' if f.default is MISSING else repr(f.default)} {bounds}")
-    return told
-
-
-def _played_with(case: Case, changes: dict[str, Any], tapes: Tapes) -> Answers:
-    return _played(replace(case, operator=_other(case.operator, changes)), whole(tapes))
-
-
-def _given(case: Case, changes: dict[str, Any]) -> Answers:
-    operator = _other(case.operator, changes)
-    operator.open({port: spec for port, (spec, _, _) in case.inputs.items()})
-    return {"": "is accepted"}
-
-
-def _other(operator: Operator[Any], changes: dict[str, Any]) -> Operator[Any]:
-    return replace(operator, **changes)  # type: ignore[type-var]
-
-
-def _opened(operator: Operator[Any], specs: Specs) -> Answers:
-    fresh = operator.fresh()
-    out = fresh.open(dict(specs))
-    delays = f"delay {fresh.delay_s!r} decision {dict(sorted(fresh.decision_s.items()))}"
-    return {"": _rounded(delays), **{name: _rounded(repr(spec.to_json())) for name, spec in out.items()}}
-
-
-def _rounded(text: str) -> str:
-    """On one line, with long numbers cut to nine digits, and paths from the root of the tree."""
-    text = text.replace(f"{HOUSE}/", "")
-    return " ".join(re.sub(r"\d+\.\d{9,}(e[-+]?\d+)?", lambda m: f"{float(m[0]):.9g}", text).split())
-
-
-def _other_specs(spec: StreamSpec) -> Iterator[tuple[str, StreamSpec]]:
-    """The same stream as something else, which an operator may refuse, or answer otherwise."""
-    yield "irregular", spec.derive(rate_hz=None)
-    yield "rate", spec.derive(rate_hz=2.0 * (spec.rate_hz or 5.0))
-    yield "slow", spec.derive(rate_hz=0.5)
-    yield "unit", spec.derive(units=("furlong",))
-    yield "bare", spec.derive(meta={})
-    yield "told", spec.derive(meta={**spec.meta, **TOLD})
-    if not spec.is_event:
-        yield "int16", spec.derive(dtype=np.dtype(np.int16))
-        yield "nameless", spec.derive(channels=(), units=spec.units[:1])
-        yield "frame", spec.derive(shape=(*spec.shape, 2), channels=(), units=spec.units[:1])
-    else:
-        fields = spec.dtype.descr
-        yield "signal", StreamSpec((2,), rate_hz=100.0, channels=("a", "b"), units=("uV",))
-        yield "less", spec.derive(dtype=np.dtype(fields[:-1]), channels=(), units=spec.units[: len(fields) - 1])
-        units = spec.units if len(spec.units) == 1 else (*spec.units, "")
-        yield "more", spec.derive(dtype=np.dtype([*fields, ("added", "<f8")]), channels=(), units=units)
-    event = np.dtype([("onset", np.int64), ("name", "S8")])
-    yield "event", StreamSpec((), event)
-    if spec.is_signal:
-        units = spec.units if len(spec.units) == 1 else ()
-        yield "one", spec.derive(shape=(1,), channels=spec.channels[:1], units=units or spec.units[:1])
-        yield "none", spec.derive(shape=(0,), channels=(), units=spec.units[:1])
-
-
-def _hints(operator: Operator[Any]) -> dict[str, Any]:
-    try:
-        return get_type_hints(type(operator))
-    except NameError:
-        return {}
-
-
-def _turned(operator: Operator[Any]) -> Iterator[tuple[str, Any]]:
-    """Each parameter at another value, where what it may be is known."""
+def _called(operator: Operator[Any]) -> str:
+    """The operator with those parameters that are not the usual ones."""
+    given = []
     for f in fields(operator):  # type: ignore[arg-type]
         value = getattr(operator, f.name)
-        if isinstance(value, bool):
-            yield f.name, not value
-        elif isinstance(value, int):
-            yield from ((f.name, given) for given in {value + 1, value // 2})
-        elif isinstance(value, float):
-            yield from ((f.name, given) for given in {value * 1.25, value * 0.5})
-        elif value is None:
-            yield from ((f.name, given) for given in (2, 0.5))
-        hint = _hints(operator).get(f.name)
-        choices = get_args(hint) if get_origin(hint) is Literal else ()
-        yield from ((f.name, choice) for choice in choices if choice != value)
+        if f.default is MISSING or value != f.default:
+            given.append(f"{f.name}={Path(value).name if isinstance(value, str) and '/' in value else value!r}")
+    return f"{type(operator).__name__}({', '.join(given)})"
 
 
-def _probed(operator: Operator[Any]) -> Iterator[tuple[str, Any]]:
-    for f in fields(operator):  # type: ignore[arg-type]
-        value = getattr(operator, f.name)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            bounded = f.metadata.get("kinegraph", {}).keys() & {"below", "most"}
-            yield from ((f.name, probe) for probe in (*PROBES, HUGE if bounded else LARGE))
-        elif isinstance(value, tuple) or value is None:
-            yield from ((f.name, probe) for probe in ((), ("nobody",), -1.0))
-        elif isinstance(value, str):
-            yield from ((f.name, probe) for probe in ("", "nobody"))
+def _timing(operator: Operator[Any]) -> str:
+    decided = "".join(f"; {name} is decided after {s:g} s" for name, s in sorted(operator.decision_s.items()) if s)
+    return f"delay {operator.delay_s:g} s{decided}"
 
 
-def _by_rate(case: Case) -> Iterator[tuple[str, Any]]:
-    """Frequencies and times that an input's rate just allows, or just does not."""
-    rate = next((spec.rate_hz for spec, _, _ in case.inputs.values() if spec.rate_hz), None)
-    if rate:
-        for f in fields(case.operator):  # type: ignore[arg-type]
-            given = RATES if f.name.endswith("_hz") else PERIODS if f.name.endswith("_s") else ()
-            yield from ((f.name, float(f"{part * rate if given is RATES else part / rate:.6g}")) for part in given)
+def _rows(count: int, most: int) -> list[int]:
+    """Evenly chosen, the first and the last among them; of one only, the last."""
+    return np.unique(np.linspace(count - 1, 0, min(count, most)).round().astype(int)).tolist()
 
 
-def _summary(output: Output, given: Array) -> Iterator[str]:
-    """How many samples and chunks there were, where samples are missing; then sums over stamps, ends of chunks and every number.
-
-    Of times that follow those which are `given` at few distances, every nanosecond counts: nothing is computed there that processors do
-    differently.
-    """
-    times, data = output.time, output.data
-    lost = np.asarray(output.lost, np.int64)
-    yield f"n={len(times)} lost={int(lost.clip(0).sum())}/{int((lost < 0).sum())}"
-    if len(times):
-        yield f"from={int(times[0])}"
-        yield f"time={_sums(times - times[0])}"
-        yield from _exact("stamps", times, given)
-        yield f"lost-at={_sums(lost)}"
-    until = np.array([chunk.until for chunk, *_ in output.kept if abs(chunk.until) < FOREVER - 1], np.int64)
-    if len(until):
-        yield f"until={len(output.kept)}:{_sums(until - (times[0] if len(times) else until[0]))}"
-        yield from _exact("ends", until, np.union1d(given, times))
-    for name, column in _columns(data):
-        if data.dtype.names and column.dtype == np.int64:
-            yield from _exact(f"exact-{name}", column[(column > 0) & (column < FOREVER - 1)], given)
-        yield f"{name}={_sums(column)}" if column.dtype.kind in "biuf" else f"{name}=#{_digest(column)}"
-
-
-def _exact(name: str, times: Array, given: Array) -> Iterator[str]:
-    after = times - given[np.searchsorted(given, times, "right") - 1]
-    if len(times) >= FEW and len(np.unique(after)) <= len(times) // FEW:
-        yield f"{name}=#{_digest(times)}"
-
-
-def _columns(data: Array) -> Iterator[tuple[str, Array]]:
-    if data.dtype.names:
-        for name in data.dtype.names:
-            for part, column in _columns(data[name]):
-                yield f"{name}{part}", column
+def table(
+    title: str, spec: StreamSpec, time: Array, data: Array, rows: Sequence[int], start: int, *, mean: bool = False
+) -> Iterator[str]:
+    """Some samples of a stream, one line each; `mean`: and the mean of all."""
+    yield f"{title}: {len(time)} samples, {_described(spec, data)}"
+    if not len(time):
         return
-    flat = data.reshape(len(data), -1) if len(data) else data.reshape(0, int(np.prod(data.shape[1:])))
-    for k in range(min(WIDTH, flat.shape[1])):
-        yield f".{k}" if flat.shape[1] > 1 else "", flat[:, k::WIDTH].reshape(-1)
+    columns: list[Column] = [("s", [f"{(int(time[i]) - start) / NS:.6f}" for i in rows] + ["mean"] * mean)]
+    found = list(_fields(spec, data) if spec.is_event else _numbers(spec, data))
+    largest = max((_largest(values) for _, values, _ in found), default=0.0) if not spec.is_event else 0.0
+    for head, values, unit in found:
+        show = _shown(values, unit, start, NOISE * largest)
+        average = [_average(values, show, spec.is_event)] if mean else []
+        columns.append((f"{head}/{_unit(unit)}" if unit else head, [*(show(values[i]) for i in rows), *average]))
+    widths = [max(map(len, (head, *texts))) for head, texts in columns]
+    for k in range(-1, len(columns[0][1])):
+        texts = (head if k < 0 else texts[k] for head, texts in columns)
+        yield "  ".join(text.rjust(width) for text, width in zip(texts, widths, strict=True))
 
 
-def _digest(column: Array) -> int:
-    return zlib.crc32(column.tobytes())
+def _average(values: Array, show: Callable[[Any], str], is_event: bool) -> str:
+    """Of what is finite; whole numbers of events are counts and codes, and have none."""
+    if values.dtype.kind in "iu" and not is_event:
+        return f"{values.mean():.2f}"
+    return show(_finite(values).mean()) if _finite(values).size else "-"
 
 
-def _sums(column: Array) -> str:
-    """How many numbers are not finite, their root mean square, and a sum of them with weights that tell places apart."""
-    values = column.astype(np.float64)
-    good = np.isfinite(values)
-    odd = int((~good).sum())
-    places = np.flatnonzero(good) + 1.0
-    values = values[good]
-    if not len(values):
-        return f"{odd}"
-    scale = float(np.abs(values).max()) or 1.0
-    rms = scale * float(np.sqrt(np.mean((values / scale) ** 2)))
-    weighted = float(np.sum(((places * 0.6180339887498949) % 1.0 + 0.25) * values) / np.sqrt(len(values)))
-    return f"{odd},{rms:.8g},{weighted:.8g}"
+def _described(spec: StreamSpec, data: Array) -> str:
+    kind = "events" if spec.is_event else f"{' x '.join(map(str, spec.shape))} {spec.dtype}"
+    rate = f" at {spec.rate_hz:g} Hz" if spec.rate_hz else ""
+    settling = f", settle in {spec.settling_s:g} s" if spec.settling_s else ""
+    missing = int((~np.isfinite(data)).sum()) if data.dtype.kind == "f" else 0
+    return kind + rate + settling + (f", {missing} numbers are not finite" if missing else "")
 
 
-def alike(one: str, other: str, relative: float = RELATIVE) -> bool:
-    """Whether two summaries say the same; sums may differ by what processors differ by."""
+def _unit(unit: str) -> str:
+    return "s" if unit == "ns" else unit.replace("uV", "µV")
+
+
+Named = Iterator[tuple[str, Array, str]]
+"""By name: the values of all samples, and their unit."""
+
+
+def _numbers(spec: StreamSpec, data: Array) -> Named:
+    """Some numbers of a sample, evenly chosen: `TA`, `knee[2]`, `[5,7]`."""
+    for flat in _rows(int(np.prod(spec.shape, dtype=int)), COLUMNS):
+        place = np.unravel_index(flat, spec.shape)
+        others = [str(k) for axis, k in enumerate(place) if not spec.channels or axis != spec.channel_axis]
+        channel = spec.channels[int(place[spec.channel_axis])] if spec.channels else ""
+        unit = spec.units[0] if len(spec.units) == 1 or not channel else spec.unit_of(channel)
+        values = data.reshape(len(data), -1)[:, flat]
+        for name, part, _ in _parts("", values):
+            yield (f"{channel}[{','.join(others)}]" if others else channel) + name, part, unit
+
+
+def _fields(spec: StreamSpec, data: Array) -> Named:
+    for field in spec.channels:
+        for name, values, _ in _parts(field, data[field]):
+            yield name, values, spec.unit_of(field)
+
+
+def _parts(name: str, values: Array) -> Named:
+    """Values that are records or arrays, one by one."""
+    if values.dtype.names:
+        for field in values.dtype.names:
+            yield from _parts(f"{name}.{field}", values[field])
+    elif values.ndim > 1:
+        flat = values.reshape(len(values), -1)
+        yield from ((f"{name}[{k}]", flat[:, k], "") for k in _rows(flat.shape[1], ELEMENTS))
+    else:
+        yield name, values, ""
+
+
+def _finite(values: Array) -> Array:
+    return values[np.isfinite(values)] if values.dtype.kind == "f" else values[:0]
+
+
+def _largest(values: Array) -> float:
+    return float(np.abs(_finite(values)).max(initial=0.0))
+
+
+def _shown(values: Array, unit: str, start: int, noise: float) -> Callable[[Any], str]:
+    """How the values of a column are shown, all of them alike."""
+    if values.dtype.kind == "i" and unit == "ns":
+        return partial(_seconds, start)
+    if values.dtype.kind != "f":
+        return lambda value: (value.decode() if isinstance(value, bytes) else str(value)).replace(" ", "_") or "-"
+    largest = _largest(values)
+    if largest <= noise or largest == 0.0:
+        return lambda value: "0.0" if np.isfinite(value) else str(value)
+    before = int(np.floor(np.log10(largest))) + 1
+    form = f".{max(1, DIGITS - before)}f" if -3 <= before <= 7 else f".{DIGITS - 1}e"
+    return lambda value: f"{value:z{form}}"
+
+
+def _seconds(start: int, value: Any) -> str:
+    ns = int(value)
+    if abs(ns) >= FOREVER - 1 or ns <= NEVER:
+        return "never" if ns < 0 else "open"
+    return f"{(ns - start if ns >= start else ns) / NS:z.6f}"
+
+
+def alike(one: str, other: str, relative: float = 0.0) -> bool:
+    """The same words and whole numbers, and others that differ by one in the last place at most: processors round differently."""
     if one == other:
         return True
-    first, second = one.split(" "), other.split(" ")
-    return len(first) == len(second) and all(
-        a == b or _near(a, b, relative) for a, b in zip(first, second, strict=True)
-    )
-
-
-def _near(one: str, other: str, relative: float = RELATIVE) -> bool:
-    (name, _, a), (same, _, b) = one.rpartition("="), other.rpartition("=")
-    first, second = a.replace(":", ",").split(","), b.replace(":", ",").split(",")
-    if name != same or len(first) != len(second) or len(first) < 3 or first[:-2] != second[:-2]:
+    if _words(one) != _words(other):
         return False
-    x, y = np.array([first[-2:], second[-2:]], np.float64)
-    return bool((np.abs(x - y) <= max(relative * max(x[0], y[0]), NOTHING)).all())
+    pairs = zip(NUMBER.findall(one), NUMBER.findall(other), strict=True)
+    return all(_near(a, b, relative) for a, b in pairs)
 
 
-def read(use: str) -> Answers:
-    path = ANSWERS / f"{use}.txt"
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    kept: Answers = {}
-    for name, _, text in (line.partition(" | ") for line in lines):
-        kept[name] = kept[text.removeprefix(SAME)] if text.startswith(SAME) else text
-    return kept
+def _words(line: str) -> list[str]:
+    return NUMBER.sub(" # ", line).split()
 
 
-def write(use: str, found: Answers) -> None:
-    """Keep the answers, in the order of those that were kept before, so that only what changed is seen to change."""
-    ANSWERS.mkdir(exist_ok=True)
-    first: dict[str, str] = {}
-    lines = []
-    found = {**{name: found[name] for name in read(use) if name in found}, **found}
-    for name, text in found.items():
-        lines.append(f"{name} | {SAME + first[text] if text in first and len(text) > len(SAME + name) else text}\n")
-        first.setdefault(text, name)
-    (ANSWERS / f"{use}.txt").write_text("".join(lines), encoding="utf-8")
+def _near(one: str, other: str, relative: float) -> bool:
+    if one == other or "." not in one or "." not in other:
+        return one == other
+    a, b = _value(one), _value(other)
+    return abs(a - b) <= max(1.01 * _last_place(one), 1.01 * _last_place(other), relative * max(abs(a), abs(b)))
 
 
-def changes(kept: Answers, found: Answers) -> list[str]:
-    """What differs, in words, one line an answer."""
-    return list(changing(kept, found.items()))
+def _value(text: str) -> float:
+    return float(text.replace("−", "-"))
 
 
-def changing(kept: Answers, found: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """The same, one after the other as answers come; those that do not come, at the end."""
-    missing = dict(kept)
-    for name, new in found:
-        old = missing.pop(name, "nothing")
-        if not alike(old, new):
-            yield f"{name}: {_where(old, new)}"
-    yield from (f"{name}: {_where(old, 'nothing')}" for name, old in missing.items())
+def _last_place(text: str) -> float:
+    digits, _, exponent = text.partition("e")
+    return float(10.0 ** (int(exponent or 0) - len(digits.partition(".")[2])))
 
 
-def _where(old: str, new: str) -> str:
-    parts = [(a, b) for a, b in zip(old.split(" "), new.split(" "), strict=False) if a != b and not _near(a, b)]
-    return f"{parts[0][0]} was, {parts[0][1]} is" if "=" in old and parts else f"{old} -- was, is -- {new}"
+def differences(kept: str, found: str, relative: float = 0.0) -> list[str]:
+    """The lines that are others, as `- was` and `+ is`."""
+    pairs = zip_longest(kept.splitlines(), found.splitlines(), fillvalue="")
+    differing = [(old, new) for old, new in pairs if not alike(old, new, relative)]
+    return [f"{sign} {line}" for pair in differing for sign, line in zip("-+", pair, strict=True) if line]
+
+
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8") if path.exists() else ""
+
+
+def operators() -> dict[str, Path]:
+    """By operator, the file of its golden answer."""
+    return {use: ANSWERS / f"{use}.txt" for use in catalogue(("operators",))[0]}
 
 
 def main() -> int:
+    from tests import golden_commands
+
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
-    parser.add_argument(
-        "words", nargs="*", help="operators in whose path one of these stands; all, where none is given"
-    )
-    parser.add_argument("--write", action="store_true", help="keep the answers that are given now")
+    parser.add_argument("word", nargs="?", default="", help="only those with this in their name")
+    parser.add_argument("--write", action="store_true", help="keep the answers of today")
     given = parser.parse_args()
-    uses = [use for use in catalogue(("operators",))[0] if not given.words or any(w in use for w in given.words)]
-    differing = 0
-    for use in uses:
-        began = time.process_time()
-        found = answers(use)
-        told = changes(read(use), found)
-        differing += len(told)
-        seconds = time.process_time() - began
-        print(
-            f"{use}: {len(found)} answers in {seconds:.1f} s, {len(told)} changed", *told[:MOST], sep="\n  ", flush=True
-        )
-        if given.write and told:
-            write(use, found)
-    for stray in [p for p in ANSWERS.glob("*.txt") if p.stem not in catalogue(("operators",))[0]]:
-        print(f"{stray}: no operator has this name")
+    questions = [(path, partial(answer, use), 0.0) for use, path in operators().items()]
+    questions += [
+        (path, partial(golden_commands.answer, name), golden_commands.RELATIVE)
+        for name, path in golden_commands.scenes().items()
+    ]
+    changed = 0
+    for path, ask, relative in questions:
+        if given.word not in path.stem:
+            continue
+        found = ask()
+        if lines := differences(read(path), found, relative):
+            changed += 1
+            print(path.stem, *lines, sep="\n", flush=True)
+            if given.write:
+                path.parent.mkdir(exist_ok=True)
+                path.write_text(found, encoding="utf-8")
+    for stray in sorted({*ANSWERS.rglob("*.txt")} - {path for path, *_ in questions}):
+        print(f"{stray.name}: nothing has this name")
         if given.write:
             stray.unlink()
-    return 0 if given.write or not differing else 1
+    print(f"{changed} answers {'written' if given.write else 'changed'}")
+    return 1 if changed and not given.write else 0
 
 
 if __name__ == "__main__":

@@ -1,64 +1,50 @@
-"""Golden answers: on its cases, on faults, with other parameters and streams, every operator gives what is kept in tests/laws/golden.
+"""Golden answers: operators and commands answer what tests/laws/golden shows.
 
-Where a change is meant: `python -m tests.golden --write gait`, and say in the commit what changed and why.
+Where a change is meant: `python -m tests.golden Envelope --write`, and say in the commit what changed and why.
 """
 
 from __future__ import annotations
 
-from itertools import islice
-from pathlib import Path
-
-import numpy as np
 import pytest
 
-from stream.graph.parts import catalogue
-from tests import golden
-from tests.golden import ANSWERS, alike, changes, changing, given, read, write
+from tests.golden import ANSWERS, MAX_BYTES, MAX_LINES, alike, answer, differences, operators, read
+from tests.golden_commands import RELATIVE, scenes
+from tests.golden_commands import answer as printed
 
-MOST = 5
-KEPT = sorted(path.stem for path in ANSWERS.glob("*.txt"))
-
-
-@pytest.mark.parametrize("use", KEPT)
-def test_it_answers_as_it_did(use: str) -> None:
-    """Nothing more is asked once some answers have changed."""
-    told = [*islice(changing(read(use), given(use)), MOST)]
-    assert not told, "\n".join([f"answers of {use} changed (the first {MOST} at most):", *told])
+OPERATORS, SCENES = operators(), scenes()
 
 
-def test_every_operator_has_golden_answers() -> None:
-    assert sorted(catalogue(("operators",))[0]) == KEPT
+@pytest.mark.parametrize("use", OPERATORS)
+def test_an_operator_answers_as_it_did(use: str) -> None:
+    assert not differences(read(OPERATORS[use]), answer(use))
 
 
-def test_what_is_kept_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(golden, "ANSWERS", tmp_path)
-    found = {"0 plain out": "n=3 " + "x" * 80, "0 window_s=2.0 out": "n=3 " + "x" * 80, "0 window_s?-1": "is accepted"}
-    write("operators.Some", found)
-    assert read("operators.Some") == found
-    assert (tmp_path / "operators.Some.txt").read_text(encoding="utf-8").count("xxx") < 40
+@pytest.mark.parametrize("name", SCENES)
+def test_a_command_prints_what_it_did(name: str) -> None:
+    assert not differences(read(SCENES[name]), printed(name), RELATIVE)
 
 
-def test_sums_know_each_number_its_place_and_its_channel() -> None:
-    rng = np.random.default_rng(1)
-    data = rng.standard_normal((500, 3))
-
-    def told(array: np.ndarray) -> str:
-        return " ".join(f"{name}={golden._sums(column)}" for name, column in golden._columns(array))
-
-    first = told(data)
-    rounded = data * (1 + 1e-9)
-    swapped = data.copy()
-    swapped[[100, 101]] = data[[101, 100]]
-    nudged = data.copy()
-    nudged[321, 1] *= 1.01
-    missing = data.copy()
-    missing[7, 2] = np.nan
-    assert alike(first, told(rounded))
-    for other in (swapped, nudged, missing, -data, data[:, [1, 0, 2]], data[:-1], np.roll(data, 1, axis=0)):
-        assert not alike(first, told(other))
+def test_golden_answers_are_short_enough_to_be_reviewed() -> None:
+    texts = {path: read(path) for path in ANSWERS.rglob("*.*")}
+    assert texts.keys() == {*OPERATORS.values(), *SCENES.values()}
+    assert not [path.name for path, text in texts.items() if text.count("\n") > MAX_LINES]
+    assert sum(len(text.encode()) for text in texts.values()) <= MAX_BYTES
 
 
-def test_other_words_and_other_counts_are_changes() -> None:
-    assert changes({"0 a": "n=3 lost=0/0"}, {"0 a": "n=4 lost=0/0"}) == ["0 a: n=3 was, n=4 is"]
-    assert changes({"0 a?-1": "is accepted"}, {}) == ["0 a?-1: is accepted -- was, is -- nothing"]
-    assert not changes({"0 a": "v=0,1.00000001,2"}, {"0 a": "v=0,1.00000002,2"})
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("0.250000  1.2041  good", "0.250001   1.2042  good", True),
+        ("0.250000  1.2041  good", "0.250000  1.2043  good", False),
+        ("0.250000  1.2041  good", "0.250000  1.2041  bad", False),
+        ("0.250000  1.2041", "0.250000  -1.2041", False),
+        ("in: 20 samples", "in: 21 samples", False),
+        ("1.2041e+09", "1.2042e+09", True),
+        ("b.mcap + 7.5 s", "b.mcap - 7.5 s", False),
+        ("-", "nan", False),
+    ],
+)
+def test_words_and_whole_numbers_must_be_the_same_and_others_to_the_last_place(
+    one: str, other: str, same: bool
+) -> None:
+    assert alike(one, other) == same
