@@ -1,8 +1,8 @@
-"""`python -m tests.golden [WORD] [--write]`: what operators and commands answer otherwise than tests/laws/golden says.
+"""`python -m tests.golden [WORD] [--write]`: what operators, commands and graphs answer otherwise than tests/laws/golden says.
 
-A golden answer is a table that a person can review. Of an operator: one of its `cases()`, a few samples of each input and output,
-with channels, units and stamps in seconds. Of a command: what it prints. WORD chooses by name: `gait`, `Envelope`, `train-map`. With
-`--write` the answers of today are kept; the commit says why they changed.
+A golden answer is a table that a person can review. Of an operator: one of its `cases()`, a few samples of each input and output, with
+channels, units and stamps in seconds. Of a command: what it prints. Of a graph: what it makes of a simulated walk. WORD chooses by name:
+`gait`, `Envelope`, `train-map`. With `--write` the answers of today are kept; the commit says why they changed.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ def answer(use: str) -> str:
     lines = [_called(case.operator), _timing(player.operator)]
     most = INPUT_ROWS if len(inputs) + len(outputs) < MANY else 1
     for port, spec, time, data in inputs:
-        lines += ["", *table(f"in   {port}", spec, time, data, _rows(len(time), most), start)]
+        lines += ["", *table(f"in   {port}", spec, time, data, evenly(len(time), most), start)]
     filled = sum(len(time) > 0 for _, _, time, _ in outputs)
     room = (MAX_LINES - len(lines) - 2 * len(outputs) - filled) // filled
     for name, spec, time, data in outputs:
-        rows = _rows(len(time), min(OUTPUT_ROWS, max(1, room - 1)))
+        rows = evenly(len(time), min(OUTPUT_ROWS, max(1, room - 1)))
         lines += ["", *table(f"out  {name}", spec, time, data, rows, start, mean=room > 1)]
     return "".join(f"{line.rstrip()}\n" for line in lines)
 
@@ -85,7 +85,7 @@ def _timing(operator: Operator[Any]) -> str:
     return f"delay {operator.delay_s:g} s{decided}"
 
 
-def _rows(count: int, most: int) -> list[int]:
+def evenly(count: int, most: int) -> list[int]:
     """Evenly chosen, the first and the last among them; of one only, the last."""
     return np.unique(np.linspace(count - 1, 0, min(count, most)).round().astype(int)).tolist()
 
@@ -135,7 +135,7 @@ Named = Iterator[tuple[str, Array, str]]
 
 def _numbers(spec: StreamSpec, data: Array) -> Named:
     """Some numbers of a sample, evenly chosen: `TA`, `knee[2]`, `[5,7]`."""
-    for flat in _rows(int(np.prod(spec.shape, dtype=int)), COLUMNS):
+    for flat in evenly(int(np.prod(spec.shape, dtype=int)), COLUMNS):
         place = np.unravel_index(flat, spec.shape)
         others = [str(k) for axis, k in enumerate(place) if not spec.channels or axis != spec.channel_axis]
         channel = spec.channels[int(place[spec.channel_axis])] if spec.channels else ""
@@ -158,7 +158,7 @@ def _parts(name: str, values: Array) -> Named:
             yield from _parts(f"{name}.{field}", values[field])
     elif values.ndim > 1:
         flat = values.reshape(len(values), -1)
-        yield from ((f"{name}[{k}]", flat[:, k], "") for k in _rows(flat.shape[1], ELEMENTS))
+        yield from ((f"{name}[{k}]", flat[:, k], "") for k in evenly(flat.shape[1], ELEMENTS))
     else:
         yield name, values, ""
 
@@ -239,17 +239,17 @@ def operators() -> dict[str, Path]:
 
 
 def main() -> int:
-    from tests import golden_commands
+    from tests import golden_commands, golden_graphs
 
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
     parser.add_argument("word", nargs="?", default="", help="only those with this in their name")
     parser.add_argument("--write", action="store_true", help="keep the answers of today")
     given = parser.parse_args()
     questions = [(path, partial(answer, use), 0.0) for use, path in operators().items()]
-    questions += [
-        (path, partial(golden_commands.answer, name), golden_commands.RELATIVE)
-        for name, path in golden_commands.scenes().items()
-    ]
+    for name, path in golden_commands.scenes().items():
+        questions.append((path, partial(golden_commands.answer, name), golden_commands.RELATIVE))
+    for name, path in golden_graphs.graphs().items():
+        questions.append((path, partial(golden_graphs.answer, name), 0.0))
     changed = 0
     for path, ask, relative in questions:
         if given.word not in path.stem:

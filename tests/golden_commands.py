@@ -89,16 +89,6 @@ def _emg_sessions() -> Iterator[str]:
     yield "train emg-model a.mcap b.mcap -o model.npz"
 
 
-def _train_steps() -> Iterator[str]:
-    from tests.gait.test_steps import recorded
-
-    files = " ".join(map(str, recorded(Path(), [f"r{k}" for k in range(4)])))
-    for target, people in (("gender", range(4)), ("person", (0, 0, 1, 1))):
-        rows = "".join(f"r{k}.mcap,p{p},{'fm'[p % 2]}\n" for k, p in enumerate(people))
-        Path(f"{target}.csv").write_text(f"recording,person,gender\n{rows}")
-        yield f"train steps {target}.csv {files} --target {target} -o {target}.npz --trees 5"
-
-
 def _evaluate_sleep() -> Iterator[str]:
     from tests.sleep.test_evaluate_sleep import write_csv
 
@@ -242,7 +232,6 @@ SCENES: dict[str, Scene] = {
     "train-steering": _train_steering,
     "train-graph": _train_graph,
     "train-map": _train_map,
-    "train-steps": _train_steps,
     "compare": _emg_sessions,
     "evaluate-sleep": _evaluate_sleep,
     "evaluate-sleep-of-a-night": _nights,

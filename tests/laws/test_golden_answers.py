@@ -1,4 +1,4 @@
-"""Golden answers: operators and commands answer what tests/laws/golden shows.
+"""Golden answers: operators, commands and graphs answer what tests/laws/golden shows.
 
 Where a change is meant: `python -m tests.golden Envelope --write`, and say in the commit what changed and why.
 """
@@ -10,8 +10,10 @@ import pytest
 from tests.golden import ANSWERS, MAX_BYTES, MAX_LINES, alike, answer, differences, operators, read
 from tests.golden_commands import RELATIVE, scenes
 from tests.golden_commands import answer as printed
+from tests.golden_graphs import answer as replayed
+from tests.golden_graphs import graphs
 
-OPERATORS, SCENES = operators(), scenes()
+OPERATORS, SCENES, GRAPHS = operators(), scenes(), graphs()
 
 
 @pytest.mark.parametrize("use", OPERATORS)
@@ -24,9 +26,14 @@ def test_a_command_prints_what_it_did(name: str) -> None:
     assert not differences(read(SCENES[name]), printed(name), RELATIVE)
 
 
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_graph_answers_as_it_did_on_a_simulated_walk(name: str) -> None:
+    assert not differences(read(GRAPHS[name]), replayed(name))
+
+
 def test_golden_answers_are_short_enough_to_be_reviewed() -> None:
     texts = {path: read(path) for path in ANSWERS.rglob("*.*")}
-    assert texts.keys() == {*OPERATORS.values(), *SCENES.values()}
+    assert texts.keys() == {*OPERATORS.values(), *SCENES.values(), *GRAPHS.values()}
     assert not [path.name for path, text in texts.items() if text.count("\n") > MAX_LINES]
     assert sum(len(text.encode()) for text in texts.values()) <= MAX_BYTES
 
