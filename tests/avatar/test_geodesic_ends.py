@@ -120,13 +120,3 @@ def test_every_kernel_is_compiled_before_the_camera_opens(monkeypatch: pytest.Mo
         for port, (_, time, data) in case.inputs.items():
             operator.process(port, Chunk(time, data, int(time[-1])))
     assert set(called) == {"area_around", "extrema_of", "place_between", "surface_at", "walk_back"}
-
-
-def test_the_farthest_pixel_may_be_the_first_one() -> None:
-    """A strip that is measured from its last pixel: first comes the pixel in the corner, then the middle."""
-    points = np.zeros((2, 8, 3))
-    points[..., 0], points[..., 1] = 0.05 * np.arange(8), 0.05 * np.arange(2)[:, None]
-    points[..., 2] = 1.0
-    distance, parent, found = np.empty(16), np.empty(16, np.int64), np.empty(2, np.int64)
-    assert extrema_of(points, 15, APART_M, distance, parent, found, 0.15) == 2
-    assert found[0] == 0 and found[1] % 8 in (3, 4)

@@ -9,7 +9,7 @@ import pytest
 
 from devices.simulators.before_camera import BeforeCamera
 from devices.simulators.rendered_performer import RenderedPerformer
-from operators.body.components import ahead_at_border, components, measure, only
+from operators.body.components import components, measure, only
 from stream.chunk import NS, Chunk
 
 
@@ -47,16 +47,6 @@ def test_parts_are_those_of_scipy() -> None:
         y, x = np.nonzero(given == theirs)
         assert sizes[mine] == len(y)
         assert middles[mine] == pytest.approx([x.mean(), y.mean(), 2000.0])
-
-
-def test_only_a_part_at_the_border_counts_as_one_that_comes_in() -> None:
-    frame, parts = np.full((6, 8), 2000, np.uint16), np.zeros((6, 8), np.int32)
-    parts[2:4, 2:4], parts[0:2, 5:7] = 1, 2
-    depths = np.full((6, 8), 2500, np.uint16)
-    depths[0, 5] = 2100  # a leap exactly as long is none
-    ahead = np.zeros(3, np.int64)
-    ahead_at_border(frame, parts, depths, 100.0, ahead)
-    assert ahead.tolist() == [0, 0, 3]
 
 
 class FakeFeed:

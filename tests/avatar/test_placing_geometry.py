@@ -9,8 +9,7 @@ import pytest
 
 from operators.body.left_right import LIMBS, _legs_exchanged, _upright, exchange_legs, unturned
 from operators.body.legs import across, own_legs
-from operators.body.placing import FARTHER_M, INSIDE, LENGTHS, TWINS_M, _apart, _at_length, _trunk, _without_hidden
-from operators.body.probe import box_of
+from operators.body.placing import FARTHER_M, INSIDE, LENGTHS, TWINS_M, _at_length, _trunk, _without_hidden
 from stream.chunk import Samples
 
 CAMERA = np.array([500.0, 480.0, 320.0, 200.0])
@@ -81,15 +80,6 @@ def body(turn: float = 0.0) -> Samples:
     places[17:23] = places[[15, 16, 15, 16, 15, 16]]
     c, s = math.cos(turn), math.sin(turn)
     return places @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) + [0.0, 0.0, 3.0]
-
-
-def test_two_landmarks_are_as_far_apart_as_their_places() -> None:
-    for _ in range(50):
-        places = RNG.uniform([-1, -1, 1], [1, 1, 4], (34, 3))
-        points = seen(places)
-        a, b = (int(k) for k in RNG.choice(34, 2, replace=False))
-        found = _apart(points, CAMERA, a, places[a, 2], b, places[b, 2])
-        assert found == pytest.approx(float(np.linalg.norm(places[a] - places[b])))
 
 
 def test_a_joint_lies_where_the_bone_ends() -> None:
@@ -246,10 +236,3 @@ def test_a_body_that_turns_round_is_read_as_it_is_and_as_it_is_given() -> None:
                 assert np.allclose(out[:, :3], right[:, :3]), (exchanged, k)
         assert set(readings[30:100]) <= ({1, 2} if exchanged else {0})
         assert np.hypot(memory[0], memory[1]) > 0.8 and set(LIMBS.tolist()) < set(range(34))
-
-
-def test_the_box_of_a_person_holds_first_and_last_pixel() -> None:
-    depth = np.zeros((20, 30), np.uint16)
-    depth[3:9, 10:25], box = 2000, np.empty(4)
-    box_of(depth, box)
-    assert box.tolist() == [17.5, 6.0, 15.0, 6.0]

@@ -370,17 +370,6 @@ def test_times_in_numpys_integers_can_be_checkpointed(tmp_path: Path, monkeypatc
     assert any(checkpoint.promised["board"] > 0 for checkpoint in kept)
 
 
-@pytest.mark.parametrize(
-    ("live", "policy"), [(True, "block"), (True, "drop_oldest"), (False, "block"), (False, "drop_oldest")]
-)
-def test_chunks_may_enter_together_only_where_they_come_live_and_none_is_dropped(live: bool, policy: str) -> None:
-    runner: Any = SimpleNamespace(live=live, queues={"out": SimpleNamespace(policy=policy)})
-    edge: Any = SimpleNamespace(readers=[1])
-    port = IngressPort(runner, "out", edge)
-    assert port.may_join is (live and policy == "block")
-    assert port.watched is live and port.awaited and port.queue.owner is port  # type: ignore[comparison-overlap]
-
-
 def test_a_stream_that_has_gone_stale_is_reported_once_until_it_comes_back() -> None:
     options, queue = SimpleNamespace(stale_s=2.0, patience_s=0.5), SimpleNamespace(policy="block", depth=0, name="emg")
     source, node = SimpleNamespace(background=False), SimpleNamespace(options=options)

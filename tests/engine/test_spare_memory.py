@@ -5,8 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 from itertools import pairwise
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -83,18 +81,3 @@ def test_no_session_ends_for_memory_that_is_merely_free(monkeypatch: pytest.Monk
     held[0] = 1300 * MB
     monkeypatch.setattr(status, "give_back", lambda: None)
     assert watch.exceeded() is not None
-
-
-@pytest.mark.parametrize(
-    ("bytes_more", "blamed"), [(1_000_000, "no node's state"), (1_000_001, "node 'b' has grown by 1 MB")]
-)
-def test_who_has_grown_by_more_than_a_megabyte_is_named(
-    bytes_more: int, blamed: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(status, "taken", lambda: 2000 * MB)
-    monkeypatch.setattr(status, "give_back", lambda: None)
-    stages: Any = {name: SimpleNamespace(operator=SimpleNamespace(memory_bytes=5)) for name in "ab"}
-    pipeline: Any = SimpleNamespace(stages=stages)
-    watch = MemoryWatch(1000.0, pipeline)
-    stages["b"].operator.memory_bytes += bytes_more
-    assert blamed in str(watch.exceeded())

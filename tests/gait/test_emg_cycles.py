@@ -11,7 +11,6 @@ from scipy.signal import butter, sosfiltfilt
 
 from operators.gait.cycles import Cycles
 from operators.gait.ensemble import CycleEnsemble
-from operators.gait.plausible import Durations
 from operators.gait.statistics import CycleStatistics
 from stream.chunk import StreamSpec
 from stream.errors import InputError, ParameterError
@@ -334,10 +333,3 @@ def test_a_cycle_that_is_taken_back_leaves_every_number_as_if_it_had_never_count
         durations = [c["duration_s"] for c in closed[2] if again or c["number"] != 3]
         np.testing.assert_allclose(last["cadence"], 60 / np.mean(durations), **CLOSE)
         assert len(statistics) == 13 * (6 if again else 5)
-
-
-def test_a_duration_is_irregular_beyond_the_limit_and_not_at_it() -> None:
-    durations = Durations.none()
-    durations.latest[:5], durations.measured = 1000, 5
-    assert [durations.irregular(ms, 0.25) for ms in (749, 750, 1250, 1251)] == [True, False, False, True]
-    assert not durations.irregular(5000, 0.0)

@@ -9,7 +9,6 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from operators.emg.envelope import Envelope
-from operators.emg.envelope_kernel import stamp
 from stream.chunk import FOREVER, Chunk, StreamSpec
 from stream.errors import InputError, ParameterError
 from tests.gait.naive_emg import zero_phase_envelope
@@ -146,18 +145,6 @@ def test_what_cannot_be_is_said():
         Envelope(highpass_hz=500.0).open({"in": spec_of(1)})
     with pytest.raises(InputError, match="irregular"):
         Envelope().open({"in": StreamSpec((1,))})
-
-
-def test_a_place_between_samples_comes_before_the_next_sample():
-    """Half of .5 ms after a sample; where the next one is stamped .1 ms later, just before it; where it is not known, at the sample's."""
-    stamps = np.array([[0, 0], [500, 0], [600, 0], [5000, 0]]) * 1000
-    step = np.array([2, 1, 1, -30, 250_000], np.int64)
-    assert stamp(stamps, 0, step, 0, True) == -30
-    assert stamp(stamps, 0, step, 1, True) == 250_000
-    assert stamp(stamps, 1, step, 1, True) == 600_000 - 30 - 1
-    assert stamp(stamps, 1, step, 1, False) == 500_000 - 30
-    assert stamp(stamps, 2, step, 1, True) == 850_000
-    assert stamp(stamps, 3, step, 1, True) == -30 - 1, "a ring: the first row comes after the last"
 
 
 @pytest.mark.parametrize("phase", ["zero", "causal"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any
 from unittest.mock import patch
 
@@ -19,54 +19,20 @@ from stream.source import Source
 
 Late = dict[tuple[str, str], list[float]]
 """By node and output: of each event, how much newer (s) its operator's newest input was than the event's `end`, else its `onset`."""
-HOLE = 5
-"""So many periods between two samples are a hole: a busy machine did not read what its device had sent, and nobody decides in it."""
-
-
-class Holes:
-    """Where samples were lost on their way into a graph: spans of time, by what came at its ports."""
-
-    def __init__(self, periods: dict[tuple[str, str], int]) -> None:
-        self._periods = periods
-        self._last: dict[tuple[str, str], int] = {}
-        self._spans: list[tuple[int, int]] = []
-
-    def look(self, node: str, port: str, time: Times) -> None:
-        period = self._periods.get((node, port), 0)
-        if not period or not len(time):
-            return
-        stamps = np.concatenate([[self._last.get((node, port), time[0])], time])
-        for i in np.flatnonzero(np.diff(stamps) > HOLE * period):
-            self._spans.append((int(stamps[i]), int(stamps[i + 1])))
-        self._last[node, port] = int(time[-1])
-
-    def within(self, begin: int, end: int) -> float:
-        """How much of a span (s) lies in holes; one that several ports saw counts once."""
-        total, reached = 0, begin
-        for a, b in sorted(self._spans):
-            total += max(0, min(b, end) - max(a, reached))
-            reached = max(reached, min(b, end))
-        return total / NS
 
 
 @contextmanager
 def watched(graph: Graph, names: dict[int, str], late: Late) -> Iterator[None]:
     """Within: every call of an operator of this graph that gives events is noted in `late`; `names`: of nodes, by their operator's id."""
-    holes = Holes({(name, port): spec.period_ns if spec.rate_hz else 0 for name, node in graph.nodes.items() if not node.is_source
-                   for port, spec in graph.input_specs(node).items()})  # fmt: skip
     kinds = {type(n.part): type(n.part).process for n in graph.nodes.values() if _gives_events(n)}
 
     def noting(process: Any) -> Any:
         def call(part: Operator[Any], port: str, chunk: Chunk) -> Emitted:
-            if id(part) in names:
-                holes.look(names[id(part)], port, chunk.time)
             emitted: Emitted = process(part, port, chunk)
             if emitted is not None and id(part) in names and chunk.until < FOREVER:
                 pairs = [(part.outputs[0], emitted)] if isinstance(emitted, Chunk) else emitted
                 for output, given in pairs:
-                    for seconds in lateness(given, chunk.until).tolist():
-                        lost_s = holes.within(chunk.until - round(seconds * NS), chunk.until)
-                        late[names[id(part)], output].append(seconds - lost_s)
+                    late[names[id(part)], output].extend(lateness(given, chunk.until).tolist())
             return emitted
 
         return call
@@ -94,14 +60,12 @@ def lateness(given: Chunk, newest: int | Times) -> Samples:
     return np.empty(0)
 
 
-def measured(graph: Graph, *, for_s: float = 0.0) -> Late:
-    """Run a graph to its end, or for so long, and note how late every event came."""
-    from stream.commands.run import simulated
-
+def measured(graph: Graph) -> Late:
+    """Run a graph to its end, and note how late every event came."""
     late: Late = defaultdict(list)
     names: dict[int, str] = {}
-    with simulated(graph) if for_s else nullcontext(), watched(graph, names, late):
-        session = Session(graph, None, duration_s=for_s)
+    with watched(graph, names, late):
+        session = Session(graph, None)
         open_ = session._open
 
         def tried() -> None:

@@ -8,7 +8,7 @@ import pytest
 from operators.pause import Pause
 from operators.rectify import Rectify
 from stream.chunk import NS, Chunk, StreamSpec
-from stream.conformance.case_samples import CaseSamples, _missing, with_faults
+from stream.conformance.case_samples import CaseSamples, _missing
 from stream.conformance.cut import describe
 from stream.conformance.play import row_of
 
@@ -46,20 +46,3 @@ def test_only_an_operator_with_one_input_and_an_output_is_tried_as_a_step() -> N
     spec = StreamSpec((1,), rate_hz=100.0)
     assert row_of(Pause(), {"in": spec, "switch": spec}, {"out": spec}) is None
     assert row_of(Rectify(), {"in": spec}, {}) is None
-
-
-@pytest.mark.parametrize(
-    ("drawn", "told"),
-    [
-        ([1, 0, 0, 1, 10, 3, 0], "3 samples of 'in' missing from sample 10 on (told: 3)"),
-        ([1, 0, 0, 0, 10, 3, 0], "3 samples of 'in' missing from sample 10 on (told: -1)"),
-        ([1, 0, 1, 1, 10, 4, 0], "0.04 s of silence on all inputs before sample 10 of 'in'"),
-        ([1, 0, 2, 1, 10, 7, 0], "1.57 s of silence on all inputs before sample 10 of 'in'"),
-        ([0, 1, 0, 1, 10, 4, 0], "inf in samples 10..13 of 'in', number 0"),
-    ],
-)
-def test_a_fault_is_what_was_drawn(drawn: list[int], told: str) -> None:
-    spec = StreamSpec((1,), rate_hz=100.0)
-    tapes = {"in": CaseSamples(spec, np.arange(100) * NS // 100, np.zeros((100, 1)), np.zeros(100, np.int64))}
-    _, words = with_faults(lambda least, most: drawn.pop(0), tapes, 0.5)
-    assert len(words) == 1 and told in words[0] and not drawn

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from operators.segmentation.evaluation.found import ACTIVITY, Found, _events, merged, read_found, second_steps
-from operators.segmentation.evaluation.picture import NEAREST, _colour, _matrix, _ticks, distances
+from operators.segmentation.evaluation.picture import NEAREST, _matrix, distances
 from operators.segmentation.evaluation.scores import boundary_f1, covering, intervals, score
 from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream import cli
@@ -115,11 +115,6 @@ def test_repetitions_overlap_and_key_points():
 
 def test_clusters_take_the_number_they_were_merged_into():
     assert merged(np.array([5, 7, -1, 3]), [(7, 5), (5, 3)]).tolist() == [3, 3, -1, 3]
-
-
-def test_twenty_clusters_have_colours_of_their_own_neighbours_strong_ones():
-    assert len({_colour(k) for k in range(20)}) == 20
-    assert [_colour(k) for k in (0, 1, 10)] == ["#1f77b4", "#ff7f0e", "#aec7e8"]
 
 
 def test_distances_are_numpys():
@@ -323,7 +318,3 @@ def test_a_boundary_exactly_the_tolerance_away_is_matched_whatever_rounding_make
     assert late - early > 1.0
     assert boundary_f1(early, late)[0] == boundary_f1(late, early)[0] == 1.0
     assert boundary_f1(early, late + 0.001)[0] == 0.0
-
-
-def test_the_axis_has_twenty_ticks_at_most_until_they_are_ten_minutes_apart():
-    assert [_ticks(s) for s in (20, 20.1, 100, 601, 6000, 6001, 90_000)] == [1, 2, 5, 60, 300, 600, 600]

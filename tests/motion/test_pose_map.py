@@ -11,7 +11,7 @@ import pytest
 from devices.outlets.page.wire import decode
 from devices.pose_map import picture
 from operators.pose_map.commands import build
-from operators.pose_map.commands.gather import GatheredPoses, PoseReading, as_points, is_motion, pieces
+from operators.pose_map.commands.gather import GatheredPoses, PoseReading, as_points, pieces
 from operators.pose_map.commands.marker_table import read_table
 from operators.pose_map.retrieve import ANSWER, EXAMPLE, QUERY, PoseSearch, Retrieve
 from operators.pose_map.som import PoseGrid
@@ -361,7 +361,3 @@ def test_of_many_poses_some_are_drawn_and_the_rest_is_density(
     assert (np.diff(frames) == np.diff(frames)[0]).all()
     density = np.frombuffer(numbers, "<f4", bins * bins, offset=n * 20)
     assert density.sum() == (index.cell >= 0).sum(), "all poses count"
-
-
-def test_one_point_is_no_body() -> None:
-    assert [is_motion(StreamSpec((n, 3), units=("m",))) for n in (1, 2)] == [False, True]

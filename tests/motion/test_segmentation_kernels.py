@@ -8,15 +8,10 @@ import numpy as np
 import pytest
 
 from operators.segmentation.activities import anticipate, open_up
-from operators.segmentation.anchor import lead_in
 from operators.segmentation.belief import foresee
 from operators.segmentation.cycles import advance, last_cycle, sum_up
 from operators.segmentation.distances import insert, mark
-from operators.segmentation.division import divide, let_go
-from operators.segmentation.excursions import outings
 from operators.segmentation.layout import (
-    ACTIVITY,
-    BEGIN_EVENT,
     BELIEVED,
     BELIEVED_EVENT,
     BELIEVED_OF,
@@ -25,22 +20,10 @@ from operators.segmentation.layout import (
     EVENTS,
     FORESEEN,
     GROWN,
-    HELD,
-    HELD_CYCLES,
-    HELD_FIRST,
-    HELD_LAST,
-    HELD_RADIUS,
-    HELD_TO,
     LAST,
     OPENED,
     ORIGIN,
-    PIECES_FROM,
     RADIUS_EVENT,
-    RESUMED,
-    SEED,
-    START,
-    UNTOLD,
-    UNTOLD_AT,
     Memory,
     allocate,
 )
@@ -95,32 +78,6 @@ def test_motion_about_two_places_falls_into_two_though_frames_are_missing() -> N
         assert gaps(memory(x), 0, 80, 1.0).tolist() == [40]
     assert not len(gaps(memory(np.concatenate([circle(40), circle(40, right=0.5)])), 0, 80, 1.0))
     assert not len(gaps(memory(np.concatenate([circle(40), circle(4, right=1.7)])), 0, 44, 1.0)), "too little of it"
-
-
-@pytest.mark.parametrize(("back", "belongs"), [(7, False), (8, True), (18, True), (19, False)])
-def test_frames_before_an_activity_belong_to_it_if_they_come_back_about_a_cycle_later(back: int, belongs: bool) -> None:
-    s = memory(np.random.default_rng(2).normal(size=(70, 3)), 1.0)
-    s.near[:], s.rows[:] = 0, 9.0
-    s.books[SEED], s.books[OPENED] = 0, 40
-    for i in range(30, 40):
-        s.rows[(i + back) % len(s.rows), back] = 0.5
-    assert lead_in(s, 40, 12) == (30 if belongs else 40)
-
-
-def test_two_activities_meet_where_frames_begin_to_be_like_the_second() -> None:
-    """Frames up to 31 repeat what came before, those from 32 on what comes after; the first activity was taken to end with frame 29."""
-    s = memory(np.random.default_rng(3).normal(size=(70, 3)), 1.0)
-    s.times[:70] = np.arange(70) * 1000
-    s.near[:], s.rows[:] = 0, 9.0
-    b = s.books
-    b[HELD], b[HELD_FIRST], b[HELD_LAST], b[HELD_TO], b[HELD_CYCLES], b[START] = 1, 5, 29, 29_000, 2, 36
-    b[PIECES_FROM], b[RESUMED] = 5, 0
-    for i in range(21, 36):
-        like_before, like_after = (i, 15), (i + 10, 10)
-        s.rows[like_before if i < 32 else like_after] = 0.1
-    divide(s)
-    assert (b[START], b[UNTOLD], b[UNTOLD_AT]) == (32, 32, 32_000)
-    assert (b[HELD], b[HELD_LAST], b[HELD_TO]) == (0, 31, 31_000)
 
 
 def test_two_cycles_are_believed_as_soon_as_the_second_is_seen_to_end() -> None:
@@ -200,17 +157,3 @@ def test_distances_are_over_what_both_frames_have() -> None:
         for k in range(1, t + 1):
             apart = x[t] - x[t - k]
             assert made.rows[t, k] == pytest.approx(np.sqrt(np.nanmean(apart**2)))
-
-
-def test_where_nothing_stands_still_there_is_no_excursion() -> None:
-    assert outings(memory(circle(30)), 0, 30, -1, 1.0).shape == (0, 3)
-
-
-def test_a_held_activity_that_falls_into_two_begins_twice() -> None:
-    x = np.concatenate([circle(40), circle(40, right=1.7)])
-    made = memory(x)
-    made.books[[ACTIVITY, HELD, HELD_CYCLES, HELD_FIRST, HELD_LAST, HELD_TO]] = 5, 1, 0, 0, 79, 79
-    made.values[HELD_RADIUS] = 1.0
-    let_go(made)
-    told = made.events[: made.books[EVENTS]]
-    assert told[told[:, 0] == BEGIN_EVENT, 2:4].tolist() == [[40, 5]] and made.books[ACTIVITY] == 6

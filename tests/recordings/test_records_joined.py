@@ -53,10 +53,3 @@ def test_a_file_that_is_given_up_holds_what_was_saved_or_is_removed(tmp_path: Pa
         assert file.saved == (tmp_path / "a.mcap").stat().st_size > 0
     file.abandon()
     assert (tmp_path / "a.mcap").exists() == saved
-
-
-def test_a_file_that_is_given_up_may_be_gone_already(tmp_path: Path) -> None:
-    file = module.FileSegment(tmp_path / "a.mcap", 0, {"name": "a session"}, CompressionType.ZSTD)
-    (tmp_path / "a.mcap").unlink()
-    file.abandon()
-    assert not (tmp_path / "a.mcap").exists()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.depth.setup.judgement import LEAST_BLOCKS, Minute, _held, judge
+from operators.depth.setup.judgement import Minute, judge
 from tests.support.command_line import Command, kinegraph, refused
 
 __all__ = ["kinegraph"]
@@ -60,11 +60,3 @@ def test_a_bed_that_was_not_empty_in_the_minute_out_of_it_is_named(raised: tuple
     found = judge(out, {"sleeper": inn}, {"sleeper": (0, 0, 20, 10)}, 8, 80.0, 0.15)
     assert any("while it should be empty" in f.text for f in found) != empty
     assert all(f.well for f in found) == empty, [f.text for f in found]
-
-
-@pytest.mark.parametrize(("blocks", "well"), [(LEAST_BLOCKS - 1, False), (LEAST_BLOCKS, True)])
-def test_somebody_is_as_many_blocks_as_that(blocks: int, well: bool) -> None:
-    body = np.zeros((6, 6), bool)
-    body[2, 1 : 1 + blocks] = True
-    found = _held(body, (2, 1, 1, blocks), "", "", 0.5)
-    assert found is not None and found.well == well

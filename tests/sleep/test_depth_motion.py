@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from operators.depth.activity import EPOCH_SEEN
-from operators.depth.bed import LARGE, BedRegion, _extent
-from operators.depth.change import change, distance
+from operators.depth.bed import BedRegion
 from operators.depth.motion import LONGEST_EPOCH, Motion, map_of
 from operators.depth.night_map import NightMap
 from operators.depth.simplify import SCENE
@@ -124,15 +123,6 @@ def test_no_number_stands_where_nothing_was_seen() -> None:
         Motion(epoch_s=1.0, step_s=0.0), frames=(SPEC, grid(10.0, 40, 100 * NS), frames[9:10].repeat(40, axis=0))
     )["map"]
     assert len(frozen) == 4 and not frozen["frames"].any() and np.isnan(frozen["map"]).all()
-
-
-def test_one_pixel_that_was_measured_is_enough_for_a_region_of_one() -> None:
-    frame, last = np.array([[7, 0, 9]], np.uint16), np.array([[3, 5, 0]], np.uint16)
-    three = np.array([[0, k, 1, 1] for k in range(3)])
-    found, before = np.empty(3), np.empty(3)
-    distance(frame, last, three, 0.9, before)
-    change(frame, last, three, np.arange(4), 0.9, np.zeros((1, 3), np.uint32), np.zeros((1, 3), np.uint16), found)
-    assert found.tolist()[:1] == [4.0] and np.isnan(found[1:]).all() and np.array_equal(found, before, equal_nan=True)
 
 
 def test_another_basis_is_no_movement() -> None:
@@ -278,10 +268,3 @@ def test_a_region_that_is_set_lies_in_the_frame() -> None:
     made = play(BedRegion(regions=((0, 200, 10, 40),)), **{"in": (spec, grid(5.0, 30), room(np.s_[0:0, 0:0]))})["out"]
     assert [tuple(event)[2:] for event in made] == [(0, 200, 10, 40, False)]
     assert BedRegion().open({"in": spec})["out"].meta["simplified"] == META["simplified"]
-
-
-@pytest.mark.parametrize(("rows", "inset"), [(LARGE, 0), (LARGE + 1, 1)])
-def test_the_outermost_rows_of_a_large_bed_are_left_out(rows: int, inset: int) -> None:
-    filled = np.zeros(40, np.int64)
-    filled[3 : 3 + rows] = 9
-    assert _extent(filled) == (3 + inset, 3 + rows - inset)

@@ -10,7 +10,7 @@ import edfio
 import numpy as np
 import pytest
 
-from operators.sleep.evaluation import command, pictures
+from operators.sleep.evaluation import command
 from operators.sleep.evaluation.agreement import Confusion, interval, limits
 from operators.sleep.evaluation.command import _rows, sleep
 from operators.sleep.evaluation.comparison import agreement, pair, total
@@ -246,14 +246,6 @@ def test_a_table_of_nights_names_who_slept_where_it_is_known(tmp_path: Path) -> 
     ]
 
 
-@pytest.mark.parametrize("field", ["both_sleep", "both_wake", "false_sleep", "false_wake", "unknown"])
-def test_the_interval_of_a_count_that_all_persons_share_is_their_sum(field: str) -> None:
-    nights = [Confusion(10, 20, 30, 40, 50)] * 3 + [Confusion(1, 2, 3, 4, 5)] * 3
-    low, high = interval(nights, ["a", "b", "c"] * 2, lambda pooled: float(getattr(pooled, field)))
-    wanted = 3 * (getattr(nights[0], field) + getattr(nights[3], field))
-    assert (low, high) == (wanted, wanted)
-
-
 def test_the_interval_of_pooled_numbers_is_that_of_persons_not_of_epochs() -> None:
     good, bad = Confusion(90, 9, 1, 0, 0), Confusion(50, 5, 5, 40, 0)
     alike = interval([good] * 6, list("abcdef"), lambda c: c.sensitivity)
@@ -282,8 +274,3 @@ def test_the_report_lists_nights_that_are_left_out(tmp_path: Path, monkeypatch: 
     )
     command._report([], [], {}, table, tmp_path)
     assert reported == [("c.csv", "camera fell down"), ("", "no recording")]
-
-
-def test_ticks_are_drawn_as_the_axes_are_that_they_stand_on() -> None:
-    widths = {key: value for key, value in pictures.STYLE.items() if key.endswith("width")}
-    assert len(widths) == 3 and set(widths.values()) == {pictures.STYLE["axes.linewidth"]}

@@ -212,17 +212,6 @@ def test_epochs_lie_on_the_grid_of_sample_time_whenever_the_recording_begins() -
     assert np.isnan(rows[-1]) or rows[-1] == 1.0
 
 
-@pytest.mark.parametrize("offset", [0, NS])
-def test_an_epoch_is_promised_to_be_over_with_its_last_nanosecond(offset: int) -> None:
-    operator = Epochs(3.0, "sum", offset_s=offset / NS)
-    operator.open({"in": StreamSpec((1,), rate_hz=1.0, units=("mm",))})
-    end, told = 3 * NS + offset, []
-    operator.process("in", Chunk(np.array([end - NS]), np.ones((1, 1)), end - NS))
-    for until in (end - 2, end - 1, end, end + 3 * NS - 2, end + 3 * NS - 1):
-        told.append(operator.process("in", Chunk(np.zeros(0, np.int64), np.zeros((0, 1)), until))[-1][1].until)
-    assert told == [end - 3 * NS - 1, end - 1, end - 1, end - 1, end + 3 * NS - 1]
-
-
 def test_an_epoch_of_which_too_little_was_seen_is_unknown() -> None:
     spec = StreamSpec((1,), rate_hz=10.0, units=("mm",))
     time = np.arange(900) * NS // 10
