@@ -76,7 +76,8 @@ def _called(operator: Operator[Any]) -> str:
     for f in fields(operator):  # type: ignore[arg-type]
         value = getattr(operator, f.name)
         if f.default is MISSING or value != f.default:
-            given.append(f"{f.name}={Path(value).name if isinstance(value, str) and '/' in value else value!r}")
+            is_path = isinstance(value, Path) or (isinstance(value, str) and "/" in value)
+            given.append(f"{f.name}={Path(value).name if is_path else value!r}")
     return f"{type(operator).__name__}({', '.join(given)})"
 
 
