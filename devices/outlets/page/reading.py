@@ -108,7 +108,7 @@ class RecordedViews:
                 return None
             found = self._read(stream, spec, begin, end)
         if found is None:
-            return pyramid and self._from_afar(stream, pyramid, begin, end, width)
+            return self._from_afar(stream, pyramid, begin, end, width) if pyramid else None
         time, data, broken = found
         width = 0 if len(time) <= 2 * points else width
         return messages.signal(stream, thinned(time, data, broken, width), width, self.begin, fresh=True)
