@@ -29,7 +29,7 @@ from tests.support.command_line import KINEGRAPH
 from tests.support.convert_run import DATA, arrays
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import needs_page, page_process
-from tests.support.real import needs_data
+from tests.support.real import DATA_MARKS
 
 pytestmark = [needs_page, needs_browser, pytest.mark.timeout(280), pytest.mark.xdist_group("page panels")]
 
@@ -126,7 +126,7 @@ def real(path: Path) -> None:
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=["simulated", pytest.param("real", marks=needs_data)])
+@pytest.fixture(scope="module", params=["simulated", pytest.param("real", marks=DATA_MARKS)])
 def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

@@ -30,9 +30,9 @@ from tests.support.command_line import KINEGRAPH
 from tests.support.convert_run import DATA, arrays
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import needs_page, page_process
-from tests.support.real import needs_data
+from tests.support.real import DATA_MARKS
 
-pytestmark = [needs_data, needs_page, needs_browser, pytest.mark.timeout(280), pytest.mark.xdist_group("page real")]
+pytestmark = [*DATA_MARKS, needs_page, needs_browser, pytest.mark.timeout(280), pytest.mark.xdist_group("page real")]
 
 START = 1_700_000_000 * NS
 GRAPH = """

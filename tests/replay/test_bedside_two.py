@@ -43,7 +43,7 @@ def test_each_is_in_bed_from_lying_down_to_getting_up(replayed: kg.Results, name
 
 
 def test_movement_is_the_movers_and_not_the_others(replayed: kg.Results) -> None:
-    """The left one moves in some epochs, the right one hardly. What may be the other's movement counts for neither, so that much is lost."""
+    """The left one moves in some epochs, the right one hardly. What may be the other one's counts for neither, so that much is lost."""
     rows = replayed["activity.epochs"].data
     rows = rows[(rows["bed"] == "in") & np.isfinite(rows["moved_s"])]
     left, right = (rows[rows["sleeper"] == name] for name in SLEEPERS)
