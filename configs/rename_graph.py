@@ -1,6 +1,9 @@
 """`python configs/rename_graph.py OLD.yaml > NEW.yaml`: a graph from before the rooms moved, with the names of today.
 
 A recording holds the graph that made it; with the renamed graph, `kinegraph replay NEW.yaml RECORDING --verify` gives what it gave then.
+
+`python configs/rename_graph.py --before-parts treadmill_emg > FLAT.yaml`: a shipped graph of today, with the names that its nodes had
+before shipped graphs used parts (`envelope` for `leg.chain.envelope`); with it, today's graph is verified against a recording made before.
 """
 
 from __future__ import annotations
@@ -8,6 +11,7 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
 RENAMED = {
     "devices.actigraph.": "devices.simulators.actigraph.",
@@ -34,5 +38,39 @@ def renamed(text: str) -> str:
     return text
 
 
+OTHER_NODES = {"repetitions.segment": "segment"}
+"""What a node was called where that is not the last word of its name today; per graph in OF_GRAPH."""
+OF_GRAPH = {"count_repetitions": {"repetitions.segment": "repetitions"}}
+
+
+def before_parts(graph: str) -> str:
+    """A shipped graph without parts, with its nodes' names of old. Raises ValueError where two nodes would have one name."""
+    from stream.graph.load import read_expanded
+    from stream.graph.overrides import dump
+
+    whole = read_expanded(Path(graph)).plain()
+    special = OTHER_NODES | OF_GRAPH.get(Path(graph).stem, {})
+    old = {node: special.get(node, node.rpartition(".")[2]) for node in whole["nodes"]}
+    if twice := [name for name in old.values() if list(old.values()).count(name) > 1]:
+        raise ValueError(f"several nodes of {graph} would be called {twice[0]!r}")
+
+    def edges(written: Any) -> Any:
+        """What names nodes, with the old names."""
+        if isinstance(written, dict):
+            return {key: edges(value) for key, value in written.items()}
+        if isinstance(written, list):
+            return [edges(value) for value in written]
+        text = str(written)
+        node = next((node for node in old if text == node or text.startswith(f"{node}.")), "")
+        return old.get(node, node) + text.removeprefix(node)
+
+    nodes = {old[name]: entry | ({"from": edges(entry["from"])} if "from" in entry else {}) for name, entry in whole["nodes"].items()}
+    sections = {key: value for key, value in whole.items() if key not in ("nodes", "settings", "page", "record")}
+    return dump({"name": Path(graph).stem, **sections, "record": edges(whole.get("record", [])), "nodes": nodes})
+
+
 if __name__ == "__main__":
-    sys.stdout.write(renamed(Path(sys.argv[1]).read_text(encoding="utf-8")))
+    if sys.argv[1] == "--before-parts":
+        sys.stdout.write(before_parts(sys.argv[2]))
+    else:
+        sys.stdout.write(renamed(Path(sys.argv[1]).read_text(encoding="utf-8")))

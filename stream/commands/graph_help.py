@@ -29,12 +29,23 @@ def settings_help(command: str, arguments: Sequence[str]) -> str:
         top = read_expanded(named).items()
     except KinegraphError as error:
         return f"{named.stem} cannot be read: {error}"
-    settings = read_settings(top.get("settings"), Problems(str(named)))
+    settings = _outermost(read_settings(top.get("settings"), Problems(str(named))))
     if not settings:
         return f"{named.stem} declares no settings; --set NODE.PARAMETER=VALUE changes any parameter."
     width = max(map(len, settings))
     rows = [f"  {name:<{width}}  {_described(name, setting, top)}" for name, setting in settings.items()]
     return "\n".join([f"Settings of {named.stem} (--set NAME=VALUE):", *rows])
+
+
+def _outermost(settings: Mapping[str, Setting]) -> dict[str, Setting]:
+    """Without those of inner parts that feed what an outer setting feeds."""
+    shown: dict[str, Setting] = {}
+    fed: set[str] = set()
+    for name, setting in settings.items():
+        if not setting.targets or not fed.issuperset(setting.targets):
+            shown[name] = setting
+        fed.update(setting.targets)
+    return shown
 
 
 def _described(name: str, setting: Setting, top: Mapping[str, Located]) -> str:

@@ -306,21 +306,24 @@ class _Expansion:
             add(f"nothing is connected to {' and '.join(map(repr, missing))} of this part", written)
 
     def _by_name(self, scope: _Scope, part: _Scope, items: list[Located]) -> dict[str, Located]:
-        """In a list stand parts, each of which feeds the inputs that have the names of its outputs."""
+        """In a list stand parts, each of which feeds the inputs that have the names of its outputs; mappings in it come first."""
+        named = {name: at for item in items for name, at in item.items().items()}
         bound: dict[str, Located] = {}
         for at in items:
+            if isinstance(at.value, dict):
+                continue
             other = scope.parts.get(at.value) if isinstance(at.value, str) else None
             if other is None:
-                text = "a list in a part's 'from' names other parts, whose outputs feed the inputs of the same names"
+                text = "a list in a part's 'from' names other parts, whose outputs feed the inputs of the same names, or inputs, as {emg: ...}"
                 self._problems.add(f"{text}; {nearest(str(at.value), scope.parts)}", at, part.name)
                 continue
-            for name in part.inputs:
+            for name in [name for name in part.inputs if name not in named]:
                 if name in other.outputs and name in bound:
                     text = f"{bound[name].value!r} and '{at.value}.{name}' would both feed {name!r}"
                     self._problems.add(text, at, part.name)
                 elif name in other.outputs:
                     bound[name] = replace(at, value=f"{at.value}.{name}")
-        return bound
+        return bound | named
 
     def _emitted(self, scope: _Scope) -> Iterator[tuple[str, Located]]:
         """Every node, in the files' order, with what it reads in names of the whole graph."""

@@ -50,6 +50,9 @@ def placed(root: Located, overrides: Mapping[str, Any], known: Iterable[str]) ->
                 raise GraphError(why, path=f"--set {name}")
             found |= dict.fromkeys(setting.targets or (f"session.{name}",), value)
             continue
+        if "." in name and (short := _in_a_part(name, top, nodes)):
+            found[short] = value
+            continue
         takers = [] if "." in name or name in known else [node for node, at in nodes.items() if name in _parameters(at)]
         found[f"{takers[0]}.{name}" if len(takers) == 1 else name] = value
     return found
@@ -61,6 +64,13 @@ def _setting(name: str, settings: Mapping[str, Setting], known: Iterable[str]) -
         return settings.get(name)
     found = [setting for whole, setting in settings.items() if whole.rpartition(".")[2] == name]
     return found[0] if len(found) == 1 else None
+
+
+def _in_a_part(name: str, top: Mapping[str, Any], nodes: Mapping[str, Any]) -> str:
+    """"envelope.cutoff_hz" where the one node that is called so is in a part: "left.envelope.cutoff_hz"; else empty."""
+    node, _, key = name.rpartition(".")
+    inside = [whole for whole in nodes if whole.endswith(f".{node}")]
+    return f"{inside[0]}.{key}" if len(inside) == 1 and place_of(name, top) is None else ""
 
 
 def _parameters(node: Located) -> list[str]:
