@@ -38,9 +38,15 @@ def renamed(text: str) -> str:
     return text
 
 
-OTHER_NODES = {"repetitions.segment": "segment"}
-"""What a node was called where that is not the last word of its name today; per graph in OF_GRAPH."""
-OF_GRAPH = {"count_repetitions": {"repetitions.segment": "repetitions"}}
+NODES = {
+    "bedside_two": {
+        f"{side}.{node}": f"{side}_{node}"
+        for side in ("left", "right")
+        for node in ("scorer", "nights", "statistics", "log", "past")
+    },
+    "count_repetitions": {"repetitions.segment": "repetitions"},
+}
+"""What a node was called where that is not the last word of its name today."""
 
 
 def before_parts(graph: str) -> str:
@@ -49,7 +55,7 @@ def before_parts(graph: str) -> str:
     from stream.graph.overrides import dump
 
     whole = read_expanded(Path(graph)).plain()
-    special = OTHER_NODES | OF_GRAPH.get(Path(graph).stem, {})
+    special = NODES.get(Path(graph).stem, {})
     old = {node: special.get(node, node.rpartition(".")[2]) for node in whole["nodes"]}
     if twice := [name for name in old.values() if list(old.values()).count(name) > 1]:
         raise ValueError(f"several nodes of {graph} would be called {twice[0]!r}")
