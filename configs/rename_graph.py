@@ -70,7 +70,10 @@ def before_parts(graph: str) -> str:
         node = next((node for node in old if text == node or text.startswith(f"{node}.")), "")
         return old.get(node, node) + text.removeprefix(node)
 
-    nodes = {old[name]: entry | ({"from": edges(entry["from"])} if "from" in entry else {}) for name, entry in whole["nodes"].items()}
+    nodes = {
+        old[name]: entry | ({"from": edges(entry["from"])} if "from" in entry else {})
+        for name, entry in whole["nodes"].items()
+    }
     sections = {key: value for key, value in whole.items() if key not in ("nodes", "settings", "page", "record")}
     return dump({"name": Path(graph).stem, **sections, "record": edges(whole.get("record", [])), "nodes": nodes})
 

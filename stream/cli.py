@@ -157,9 +157,9 @@ def call(name: str, arguments: list[str]) -> None:
             command.callback = _interruptible(command.callback)
     else:
         app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-        app.command(name, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_settings_of(name, arguments))(
-            _interruptible(found)
-        )
+        app.command(
+            name, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_settings_of(name, arguments)
+        )(_interruptible(found))
     app(arguments, prog_name=f"kinegraph {name}")
 
 

@@ -15,6 +15,7 @@ from stream.commands.graph_options import GraphFile, Quiet, Settings, TrustedOnl
 from stream.commands.page_options import NoToken, PageAt, PageAvatar
 from stream.errors import KinegraphError, nearest
 from stream.plain import say
+from stream.short_names import whole_name
 
 if TYPE_CHECKING:
     from stream.engine.replay import Replay, Replayed
@@ -202,6 +203,7 @@ def _facts(written: dict[str, Any], recorded: dict[str, Any], overrides: dict[st
 
 def _speaking(graph: Graph, asked: list[str]) -> set[str]:
     outlets = graph.outlets
+    asked = [whole_name(name, outlets) for name in asked]
     for name in asked:
         if name != "all" and name not in outlets:
             raise KinegraphError(f"--speak: there is no outlet {name!r}; {nearest(name, outlets)}")

@@ -78,7 +78,10 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
             if stopped() or interruption(error):
                 raise interruption(error) or Interrupted() from None
             raise GraphError(
-                f"fails on samples made up to try it: {explain(error)}", path=node.file or graph.path, line=node.line, node=node.name
+                f"fails on samples made up to try it: {explain(error)}",
+                path=node.file or graph.path,
+                line=node.line,
+                node=node.name,
             ) from error
 
 

@@ -18,6 +18,7 @@ from stream.operator import Operator
 from stream.recording import Recording
 from stream.recording.series import write_recording
 from stream.series import Series
+from stream.short_names import whole_name
 from stream.source import Source
 
 CHUNK_S = 1.0
@@ -48,7 +49,7 @@ def on_recording(
             return on_recording(graph, opened, keep, outlets)
     checked = graph.fed_from({name: stream.spec for name, stream in recording.streams.items()})
     checked.session = recording.header.get("session") or checked.session
-    speaking = {*outlets}
+    speaking = {whole_name(name, checked.outlets) for name in outlets}
     for name in speaking - checked.outlets:
         raise KinegraphError(f"there is no outlet {name!r}; {nearest(name, checked.outlets)}")
     at_work = Replay(checked, recording, speaking=speaking)
@@ -65,6 +66,7 @@ def on_recording(
 def _kept(graph: Graph, asked: list[str]) -> list[str]:
     """The edges that come back."""
     there = {str(Edge(n.name, out)): n for n in graph.nodes.values() for out in n.specs}
+    asked = [whole_name(name, there) for name in asked]
     for name in asked:
         if name not in there:
             raise KinegraphError(f"keep: there is no output {name!r}; {nearest(name, there)}")

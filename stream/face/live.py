@@ -20,6 +20,7 @@ from stream.errors import KinegraphError, nearest
 from stream.graph import Graph
 from stream.recording.place import refuse_taken_folder
 from stream.series import Series
+from stream.short_names import whole_name
 
 WAITING = 1000
 """Chunks that wait for the program; when there are more, the oldest are dropped, and counted. The session never waits."""
@@ -65,7 +66,7 @@ class LiveSession:
         self._simulated = simulated(graph) if simulate else nullcontext()
         self._session = Session(graph, folder, duration_s=duration_s)
         self._specs = {name: edge.spec for name, edge in self._session.pipeline.edges.items()}
-        for name in edges:
+        for name in (whole_name(edge, self._specs) for edge in edges):
             if name not in self._specs:
                 raise KinegraphError(f"there is no output {name!r}; {nearest(name, self._specs)}")
             self._session.pipeline.edges[name].observers.append(partial(self._take, name))

@@ -5,11 +5,13 @@ from __future__ import annotations
 from stream.errors import KinegraphError, nearest
 from stream.html import table_html
 from stream.series import Series
+from stream.short_names import whole_name
 
 
 class Results(dict[str, Series]):
     """The outputs of a graph that was run on arrays or a recording: {"smooth": Series, "active.interval": Series}.
 
+    The names of parts may be left out where it is plain which output is meant: "cycles.closed" for "leg.cycles.closed".
     A series has `time` (n,) int64 ns, `data` (n, *shape), `lost`, its `spec`, and `to_pandas()`.
 
     differing   edges that the recording holds too, and that came out differently; of arrays none
@@ -18,6 +20,8 @@ class Results(dict[str, Series]):
     differing: tuple[str, ...] = ()
 
     def __missing__(self, name: str) -> Series:
+        if (whole := whole_name(name, self)) in self:
+            return self[whole]
         raise NoSuchOutput(f"no output {name!r} was kept; {nearest(name, self)}")
 
     def _repr_html_(self) -> str:

@@ -314,7 +314,7 @@ class _Expansion:
                 continue
             other = scope.parts.get(at.value) if isinstance(at.value, str) else None
             if other is None:
-                text = "a list in a part's 'from' names other parts, whose outputs feed the inputs of the same names, or inputs, as {emg: ...}"
+                text = "a list in a part's 'from' names parts, whose outputs feed the inputs of the same names, or {input: edge}"
                 self._problems.add(f"{text}; {nearest(str(at.value), scope.parts)}", at, part.name)
                 continue
             for name in [name for name in part.inputs if name not in named]:

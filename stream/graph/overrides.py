@@ -15,6 +15,7 @@ from stream.graph.problems import Problems
 from stream.graph.settings import Setting
 from stream.graph.settings_section import read_settings
 from stream.graph.yaml_lines import Located, locate, parse
+from stream.short_names import whole_name
 
 SECTIONS = ("session", "recording")
 
@@ -62,15 +63,16 @@ def _setting(name: str, settings: Mapping[str, Setting], known: Iterable[str]) -
     """The setting of this name, or the one of a single part ("left.cutoff_hz") whose last word it is."""
     if name in settings or "." in name or name in known:
         return settings.get(name)
-    found = [setting for whole, setting in settings.items() if whole.rpartition(".")[2] == name]
-    return found[0] if len(found) == 1 else None
+    outer = [whole for whole in settings if whole.rpartition(".")[2] == name]
+    outer = [whole for whole in outer if whole.count(".") == min(one.count(".") for one in outer)]
+    return settings[outer[0]] if len(outer) == 1 else None
 
 
 def _in_a_part(name: str, top: Mapping[str, Any], nodes: Mapping[str, Any]) -> str:
-    """"envelope.cutoff_hz" where the one node that is called so is in a part: "left.envelope.cutoff_hz"; else empty."""
+    """ "envelope.cutoff_hz" where the one node that is called so is in a part: "left.envelope.cutoff_hz"; else empty."""
     node, _, key = name.rpartition(".")
-    inside = [whole for whole in nodes if whole.endswith(f".{node}")]
-    return f"{inside[0]}.{key}" if len(inside) == 1 and place_of(name, top) is None else ""
+    whole = whole_name(node, nodes)
+    return f"{whole}.{key}" if whole in nodes and place_of(name, top) is None else ""
 
 
 def _parameters(node: Located) -> list[str]:

@@ -24,6 +24,7 @@ from stream.recording.recorded_stream import RecordedStream
 from stream.recording.records import DAMAGE
 from stream.recording.seeking import messages_from
 from stream.series import Series
+from stream.short_names import whole_name
 
 
 class Recording:
@@ -93,7 +94,8 @@ class Recording:
         self.close()
 
     def stream(self, name: str) -> RecordedStream:
-        """The stream of this name. Raises RecordingError with the nearest one there is."""
+        """The stream of this name, without those of parts where it is plain. Raises RecordingError with the nearest one there is."""
+        name = whole_name(name, self.streams)
         if name not in self.streams:
             raise RecordingError(f"{self.path}: no stream {name!r} was recorded; {nearest(name, self.streams)}")
         return self.streams[name]
@@ -107,6 +109,7 @@ class Recording:
 
     def entries(self, name: str) -> Iterator[Entry]:
         """The chunks of one stream with their arrival and sequence, in order. Raises RecordingError where its samples were not kept."""
+        name = whole_name(name, self.streams)
         if self.stream(name).kept == "outline":
             raise RecordingError(
                 f"{self.path}: the frames of {name!r} were not recorded; a graph that is to keep them names it under `record`"
@@ -144,6 +147,7 @@ class Recording:
 
     def series(self, name: str, start_s: float = 0.0, end_s: float | None = None) -> Series:
         """A stream from `start_s` to before `end_s`, in seconds after the recording's first input; only that much of the file is read."""
+        name = whole_name(name, self.streams)
         stream = self.stream(name)
         if stream.kept == "outline":
             return Series.of_chunks(name, stream.spec, self.chunks(name))  # which says why there is nothing

@@ -155,7 +155,7 @@ def test_errors_name_both_files_and_lines(folder: Path) -> None:
         ("leg: {use: parts/leg.yaml, from: {egm: treadmill.emg}}", "", "no input 'egm'; did you mean 'emg'?"),
         ("leg: {use: parts/leg.yaml}", "", "nothing is connected to 'emg'"),
         ("leg: {use: parts/leg.yaml, from: treadmill.emg, cutoff_hz: 99}", "", "a number from 1 to 60 Hz"),
-        ("leg: {use: parts/leg.yaml, from: [treadmill]}", "", "names other parts"),
+        ("leg: {use: parts/leg.yaml, from: [treadmill]}", "", "names parts"),
         ("leg: {use: walk.yaml}", "", "walk.yaml is not a part"),
         ("leg.a: {use: parts/leg.yaml, from: treadmill.emg}", "", "a part's name"),
         ("leg: {use: parts/mine.yaml}", "part:\nnodes:\n  a: {use: parts/mine.yaml}", "uses itself: parts/mine.yaml -> parts/mine.yaml"),

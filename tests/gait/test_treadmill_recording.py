@@ -54,7 +54,7 @@ def plain(replayed):
 
 def test_every_curve_agrees(replayed, plain):
     opened, z = replayed
-    spec = opened.streams["cycles.cycles"].spec
+    spec = opened.stream("cycles.cycles").spec
     assert spec.channels == tuple(map(str, z["names"]))
     assert spec.meta["side"] == "right"
     np.testing.assert_allclose(opened.read("cycles.cycles")[1], plain, **CLOSE)

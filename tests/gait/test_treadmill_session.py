@@ -128,7 +128,7 @@ def test_no_cycle_is_told_later_than_the_plan_says(session: tuple[Path, str], tm
         newest, waited = [0], []
         for wire in replay.pipeline.entries.values():
             wire.observers.append(lambda chunk: newest.append(max(newest[-1], *chunk.time[-1:].tolist(), 0)))
-        replay.pipeline.edges["cycles.closed"].observers.append(
+        replay.pipeline.edges["leg.cycles.closed"].observers.append(
             lambda chunk: waited.extend((newest[-1] - chunk.data["end"])[chunk.data["rejected"] == ""].tolist())
         )
         replay.run()

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 from structlog.testing import capture_logs
 
 from bench.motion import Series
@@ -16,6 +15,7 @@ from operators.segmentation.evaluation.scores import score
 from operators.segmentation.evaluation.truth import Truth, read_truth
 from stream import cli
 from stream.chunk import NS, StreamSpec
+from stream.graph.load import read_expanded
 from stream.recording import Recording
 from tests.support.real import needs_data, real_file
 
@@ -42,14 +42,14 @@ SHOWN_BY = {
 
 @pytest.mark.parametrize("name", SEGMENT)
 def test_the_configurations_show_name_report_and_pass_on_what_is_found(name):
-    graph = YAML(typ="safe").load((CONFIGS / f"{name}.yaml").read_text())
+    graph = read_expanded(CONFIGS / f"{name}.yaml").plain()
     assert {what["use"] for what in graph["nodes"].values()} >= SHOWN_BY
-    assert "named.repetition" in graph["record"]
+    assert "repetitions.named.repetition" in graph["record"]
 
 
 @pytest.mark.parametrize("name", SEGMENT)
 def test_the_configurations_record_what_is_believed_as_well_as_what_is_final(name):
-    graph = YAML(typ="safe").load((CONFIGS / f"{name}.yaml").read_text())
+    graph = read_expanded(CONFIGS / f"{name}.yaml").plain()
     (node,) = [n for n, what in graph["nodes"].items() if what["use"] == "operators.segmentation.Segment"]
     outputs = ("activity", "primitive", "count", "provisional", "rest")
     assert {f"{node}.{output}" for output in outputs} <= set(graph["record"])

@@ -16,6 +16,7 @@ from ruamel.yaml import YAML
 
 from devices.outlets.night import archive
 from stream.chunk import NS, utc
+from stream.graph.load import read_expanded
 from tests.support import home_assistant
 from tests.support.mosquitto import Listener, broker, listening
 
@@ -30,7 +31,7 @@ GONE_S = (3000, 600)
 
 def night(folder: Path, port: int, **camera: Any) -> Path:
     """The configuration with a simulated bedroom in the camera's place, as fast as it goes, without switches."""
-    graph: Any = YAML(typ="safe").load(CONFIG.read_text(encoding="utf-8"))
+    graph: Any = read_expanded(CONFIG).plain()
     nodes = graph["nodes"]
     for name in ("pause_switch", "lights", "seen"):
         del nodes[name]
@@ -39,10 +40,10 @@ def night(folder: Path, port: int, **camera: Any) -> Path:
         "use": "devices.simulators.bedside.Bedside", "bed_h": BED_H, "fps": 1 if BED_H < 2 else 2, "evening_min": 4, "morning_min": 4,
         "exits": 1, "seed": 3, "evening": f"{now:%H:%M}", "faults": [["gone", *GONE_S]], **camera,
     }  # fmt: skip
-    nodes["simplify"] |= {"from": "camera.depth", "learn_s": 60}
-    nodes["nights"]["from"] = {"bed": "presence"}
-    nodes["log"]["from"].pop("lights")
-    nodes["log"] |= {"path": str(folder / "nights"), "timezone": "Europe/Berlin"}
+    nodes["bedside.simplify"] |= {"from": "camera.depth", "learn_s": 60}
+    nodes["night.nights"]["from"] = {"bed": "bedside.presence"}
+    nodes["night.log"]["from"].pop("lights")
+    nodes["night.log"] |= {"path": str(folder / "nights"), "timezone": "Europe/Berlin"}
     nodes["home"] |= {"broker": {"host": "127.0.0.1", "port": port}, "ledger": str(folder / "sent.json")}
     nodes["home"]["history"][0]["log"] = str(folder / "nights")
     nodes["home"]["report"]["nights"] = str(folder / "nights")

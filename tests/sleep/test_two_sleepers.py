@@ -16,7 +16,7 @@ from devices.simulators.bedside import Bedside
 from devices.simulators.night import EPOCH_S, Act, NightPlan
 from stream.chunk import NS, Array
 from stream.engine.session import Session
-from stream.graph.load import load
+from stream.graph.load import load, read_expanded
 from tests.support.command_line import Command, kinegraph
 
 __all__ = ["kinegraph"]
@@ -124,17 +124,17 @@ def test_the_check_has_them_lie_down_one_after_the_other(
 
 
 def test_each_gets_a_report(tmp_path: Path) -> None:
-    shipped: Any = YAML(typ="safe").load(CONFIG.read_text(encoding="utf-8"))
+    shipped: Any = read_expanded(CONFIG).plain()
     nodes = shipped["nodes"]
     del nodes["pause_switch"], nodes["seen"]
     nodes["camera"] = {
         "use": "devices.simulators.bedside.Bedside", "sleepers": 2, "bed_h": 1.2, "fps": 1, "width": 192, "seed": 2, "exits": 0,
     }  # fmt: skip
-    nodes["simplify"]["from"] = "camera.depth"
+    nodes["bedside.simplify"]["from"] = "camera.depth"
     for who in ("left", "right"):
-        nodes[f"{who}_log"] |= {"path": str(tmp_path / "nights"), "timezone": "UTC"}
+        nodes[f"{who}.log"] |= {"path": str(tmp_path / "nights"), "timezone": "UTC"}
         nodes[f"{who}_home"] |= {"broker": {"host": ""}, "ledger": str(tmp_path / f"{who}.json")}
-        nodes[f"{who}_nights"]["shortest_h"] = 0.5
+        nodes[f"{who}.nights"]["shortest_h"] = 0.5
     path = tmp_path / "two.yaml"
     with path.open("w") as file:
         YAML().dump(shipped, file)

@@ -193,12 +193,12 @@ def test_two_classes_of_one_name_are_imported_under_two(tmp_path: Path, monkeypa
 
 
 def test_a_loaded_graph_keeps_its_comments_and_grows() -> None:
-    graph = kg.load("treadmill_emg")
-    assert graph.to_yaml() == shipped()["treadmill_emg"].read_text(encoding="utf-8")
+    graph = kg.load("cyton_emg")
+    assert graph.to_yaml() == shipped()["cyton_emg"].read_text(encoding="utf-8")
     graph.add("slow", Lowpass(cutoff_hz=50), "envelope", record=True)
     assert kg.Graph.from_yaml(graph.to_yaml()).specs == graph.specs
     assert str(graph.check().record[-1]) == "slow"
-    assert kg.load("treadmill_emg", {"envelope.cutoff_hz": 10}).nodes["envelope"].cutoff_hz == 10  # type: ignore[union-attr]
+    assert kg.load("treadmill_emg", {"envelope.cutoff_hz": 10}).nodes["leg.chain.envelope"].cutoff_hz == 10  # type: ignore[union-attr]
 
 
 @dataclass(frozen=True)
