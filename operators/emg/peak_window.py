@@ -66,7 +66,7 @@ def least_activity(curves: Samples, slots: Times, group: Times, mean: Samples, r
                 count += 1
     if rest_sd == 0.0 and of_peak == 0.0:
         return -np.inf
-    return level + max(rest_sd * np.sqrt(squares / max(count, 1)), of_peak * (mean.max() - level))
+    return float(level + max(rest_sd * np.sqrt(squares / max(count, 1)), of_peak * (mean.max() - level)))
 
 
 @kernel

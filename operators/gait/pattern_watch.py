@@ -136,8 +136,11 @@ class PatternWatch(Operator[PatternWatchState]):
         for i in ready[s.within[ready] >= self.first + self.latest].tolist():
             level, now = s.level[:, i] / self.first, s.recent[:, :, i].mean(axis=0)
             noise = NOISE_SHARE * max(float(level.max()), 0.0)
-            self._size(found, when, i, SIZE, (float(level.mean()), float(now.mean()), self.times))
-            self._size(found, when, i, REST, (_rest(level, noise), _rest(now, noise), self.times_rest))
+            swapped = bool(s.on[i] >= 0 and likeness(now[:, None], level[:, None])[0, 0] < 0.7)
+            size = float(level.mean()), float(now.mean()), self.times
+            rest = _rest(level, noise), _rest(now, noise), self.times_rest
+            self._size(found, when, (i, SIZE), size, explained=swapped or bool(s.sized[REST, 0, i]))
+            self._size(found, when, (i, REST), rest, explained=swapped or bool(s.sized[SIZE, 0, i]))
 
     def _patterns(self, found: FoundAlarms, when: tuple[int, int], ready: Times) -> None:
         s = self.state
@@ -158,27 +161,24 @@ class PatternWatch(Operator[PatternWatchState]):
         s.level[:, mine], s.within[mine], s.sized[:, :, mine] = 0.0, 0, 0
 
     def _size(
-        self, found: FoundAlarms, when: tuple[int, int], i: int, kind: int,
-        measured: tuple[float, float, float],
+        self, found: FoundAlarms, when: tuple[int, int], which: tuple[int, int], measured: tuple[float, float, float],
+        *, explained: bool,
     ) -> None:  # fmt: skip
-        """Compare a measure of muscle `i` before and now with how many times as high it may be."""
+        """Compare a measure of a muscle before and now with how many times as high it may be; `which`: the muscle and the measure.
+        `explained`: another alarm about the muscle is its cause."""
+        i, kind = which
         sized, (before, now, times) = self.state.sized[kind], measured
         ratio = now / before if before > 0 and now > 0 else 1.0
         off = max(ratio, 1 / ratio)
         other = off >= (1 + (times - 1) / 2 if sized[0, i] else times)
         sized[1, i] = 0 if other == bool(sized[0, i]) else sized[1, i] + 1
-        if sized[1, i] >= self.cycles and not (other and self._explained(i, kind)):
+        if sized[1, i] >= self.cycles and not (other and explained):
             sized[:, i] = int(other), 0
             what, over, advice = MEASURES[kind]
             told = f"{what} is {ratio:.2g} times as high as at first" if other else over
             found.append(
                 (when[0], (when[1], self.state.names[i], ON if other else OVER, told, advice if other else ""))
             )
-
-    def _explained(self, i: int, kind: int) -> bool:
-        """Whether a muscle has an alarm already, of which another size or rest is a symptom."""
-        s = self.state
-        return bool(s.on[i] >= 0 or s.sized[1 - kind, 0, i])
 
     def _tell(self, found: FoundAlarms, when: tuple[int, int], i: int, like: int) -> None:
         s = self.state

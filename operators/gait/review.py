@@ -154,33 +154,11 @@ class CycleReview(Operator[ReviewState]):
             elif (closed := s.expected.match(stamp)) is not None:
                 self._take(out, stamp, closed, chunk.data[i])
         self._apply(out, chunk.until)
-        return self._emitted(out, chunk)
+        return _emitted(out, chunk, s.rows.dtype, len(s.names))
 
     @classmethod
     def cases(cls) -> list[Case]:
-        cycles = some_cycles(20, 3, 11)
-        last = int(cycles["closed"][1][-1])
-        stamps = np.arange(NS, last, NS).repeat(3)
-        rows = np.zeros(len(stamps), QUALITY)
-        rows["name"], rows["onset"], rows["end"] = np.resize(["TA", "SO", "GM"], len(rows)), stamps - NS, stamps
-        rows["flag"] = "good"
-        rows["flag"][12:24:3], rows["reason"][12:24:3] = "bad", "flat line"
-        text = np.dtype([("onset", "<i8"), ("text", "U64")])
-        said = np.array([(0, "leave out 3"), (0, "use 6 TA"), (0, "coffee"), (0, "leave out SO"), (0, "use 3")], text)
-        when = np.linspace(6 * NS, last - NS, len(said)).astype(np.int64)
-        more = {
-            "quality": (StreamSpec((), QUALITY, units=("",)), stamps, rows),
-            "annotations": (StreamSpec((), text, units=("",)), when, said),
-        }
-        alarms = np.zeros(2, ALARM)
-        alarms["subject"], alarms["what"] = "contacts", "muscles work half a cycle off"
-        alarms["state"], alarms["onset"] = ["on", "over"], cycles["closed"][2]["onset"][[9, 13]]
-        wrong = {"timing": (StreamSpec((), ALARM, units=("",)), cycles["closed"][1][[11, 15]], alarms)}
-        return [
-            Case(cls(), {**more, **cycles}, least=60),
-            Case(cls(), {**more, **wrong, **cycles}, least=60),
-            Case(cls(leave_out="none", left_out=("4", "TA")), cycles, least=40),
-        ]
+        return _cases()
 
     def _take(self, out: Told, stamp: int, closed: Array, curve: Samples) -> None:
         """An accepted cycle has come, for the first time or again."""
@@ -288,16 +266,43 @@ class CycleReview(Operator[ReviewState]):
         else:
             out.append((stamp, row, np.where(used.astype(bool), s.curves[k], np.nan), judged))
 
-    def _emitted(self, out: Told, chunk: Chunk) -> list[tuple[str, Chunk]]:
-        until, lost, n = chunk.until, -1 if chunk.lost else 0, len(self.state.names)
-        stamps = np.array([stamp for stamp, *_ in out], np.int64)
-        curves = [(stamp, curve) for stamp, _, curve, _ in out if curve is not None]
-        judged = [rows for *_, rows in out]
-        closed = np.concatenate([np.empty(0, self.state.rows.dtype), *(row for _, row, _, _ in out)])
-        cycles = np.array([curve for _, curve in curves]).reshape(-1, POINTS, n)
-        verdicts = np.concatenate([np.empty(0, JUDGED), *judged])
-        return [
-            ("closed", Chunk(stamps, closed, until, lost)),
-            ("cycles", Chunk(np.array([stamp for stamp, _ in curves], np.int64), cycles, until, lost)),
-            ("judged", Chunk(stamps.repeat([len(rows) for rows in judged]), verdicts, until, lost)),
-        ]
+
+def _emitted(out: Told, chunk: Chunk, kind: np.dtype[np.void], muscles: int) -> list[tuple[str, Chunk]]:
+    until, lost = chunk.until, -1 if chunk.lost else 0
+    stamps = np.array([stamp for stamp, *_ in out], np.int64)
+    curves = [(stamp, curve) for stamp, _, curve, _ in out if curve is not None]
+    judged = [rows for *_, rows in out]
+    closed = np.concatenate([np.empty(0, kind), *(row for _, row, _, _ in out)])
+    cycles = np.array([curve for _, curve in curves]).reshape(-1, POINTS, muscles)
+    verdicts = np.concatenate([np.empty(0, JUDGED), *judged])
+    return [
+        ("closed", Chunk(stamps, closed, until, lost)),
+        ("cycles", Chunk(np.array([stamp for stamp, _ in curves], np.int64), cycles, until, lost)),
+        ("judged", Chunk(stamps.repeat([len(rows) for rows in judged]), verdicts, until, lost)),
+    ]
+
+
+def _cases() -> list[Case]:
+    cycles = some_cycles(20, 3, 11)
+    last = int(cycles["closed"][1][-1])
+    stamps = np.arange(NS, last, NS).repeat(3)
+    rows = np.zeros(len(stamps), QUALITY)
+    rows["name"], rows["onset"], rows["end"] = np.resize(["TA", "SO", "GM"], len(rows)), stamps - NS, stamps
+    rows["flag"] = "good"
+    rows["flag"][12:24:3], rows["reason"][12:24:3] = "bad", "flat line"
+    text = np.dtype([("onset", "<i8"), ("text", "U64")])
+    said = np.array([(0, "leave out 3"), (0, "use 6 TA"), (0, "coffee"), (0, "leave out SO"), (0, "use 3")], text)
+    when = np.linspace(6 * NS, last - NS, len(said)).astype(np.int64)
+    more = {
+        "quality": (StreamSpec((), QUALITY, units=("",)), stamps, rows),
+        "annotations": (StreamSpec((), text, units=("",)), when, said),
+    }
+    alarms = np.zeros(2, ALARM)
+    alarms["subject"], alarms["what"] = "contacts", "muscles work half a cycle off"
+    alarms["state"], alarms["onset"] = ["on", "over"], cycles["closed"][2]["onset"][[9, 13]]
+    wrong = {"timing": (StreamSpec((), ALARM, units=("",)), cycles["closed"][1][[11, 15]], alarms)}
+    return [
+        Case(CycleReview(), {**more, **cycles}, least=60),
+        Case(CycleReview(), {**more, **wrong, **cycles}, least=60),
+        Case(CycleReview(leave_out="none", left_out=("4", "TA")), cycles, least=40),
+    ]

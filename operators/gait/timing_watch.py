@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -112,7 +113,10 @@ class TimingWatch(Operator[TimingWatchState]):
     def open(self, specs: Specs) -> Specs:
         spec = check_named_cycles(specs)
         m, limbs, longest_s = spec.shape[1], Belonging.of(spec), longest_cycle_s(specs["closed"])
-        ways, known = max(1, len(limbs.names)), self._known(spec, len(limbs.names))
+        ways, known = (
+            max(1, len(limbs.names)),
+            known_muscles(spec, len(limbs.names), self.muscles or {}, textbook=self.textbook),
+        )
         self.hold(
             TimingWatchState(
                 Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((ways, self.latest)),
@@ -141,24 +145,6 @@ class TimingWatch(Operator[TimingWatchState]):
         late[24:36] = np.roll(curves[24:36], 5, axis=1)
         given = {**inputs, "cycles": (spec, time, late)}
         return [Case(cls(first=5, latest=3), given, least=2), Case(cls(first=8, latest=4, cycles=1), given, least=2)]
-
-    def _known(self, spec: StreamSpec, limbs: int) -> list[str]:
-        """The textbook's muscle of each channel, "" where it is not to be held against one."""
-        for channel, muscle in (self.muscles or {}).items():
-            if channel not in spec.channels:
-                raise ParameterError("muscles", channel, f"a channel of `cycles`; {nearest(channel, spec.channels)}")
-            if not muscle_called(muscle):
-                raise ParameterError("muscles", muscle, f"a muscle that the textbook has: {', '.join(WORKS_PCT)}")
-        muscles = {**dict(spec.meta.get("muscles") or {}), **(self.muscles or {})}
-        side = str(spec.meta.get("side", ""))
-        if not self.textbook or limbs > 2:
-            return [""] * len(spec.channels)
-        if limbs:
-            return [muscle_called(str(muscles.get(name, name))) for name in spec.channels]
-        sides = {side_called(muscles.get(name, name)) for name in spec.channels} - {""}
-        own = {"", side} if side else {"", *sides} if len(sides) < 2 else {""}
-        named = [muscles.get(name, name) for name in spec.channels]
-        return [muscle_called(name) if side_called(name) in own else "" for name in named]
 
     def _cycle(self, found: FoundAlarms, stamp: int, closed: np.void, curve: Samples) -> None:
         s, when = self.state, (stamp, int(closed["onset"]))
@@ -280,6 +266,25 @@ class TimingWatch(Operator[TimingWatchState]):
 
     def _who(self, limb: int) -> str:
         return self.state.limbs.names[limb] if self.state.limbs.names else self.subject
+
+
+def known_muscles(spec: StreamSpec, limbs: int, given: Mapping[str, str], *, textbook: bool) -> list[str]:
+    """The textbook's muscle of each channel, "" where it is not to be held against one."""
+    for channel, muscle in given.items():
+        if channel not in spec.channels:
+            raise ParameterError("muscles", channel, f"a channel of `cycles`; {nearest(channel, spec.channels)}")
+        if not muscle_called(muscle):
+            raise ParameterError("muscles", muscle, f"a muscle that the textbook has: {', '.join(WORKS_PCT)}")
+    muscles = {**dict(spec.meta.get("muscles") or {}), **given}
+    side = str(spec.meta.get("side", ""))
+    if not textbook or limbs > 2:
+        return [""] * len(spec.channels)
+    if limbs:
+        return [muscle_called(str(muscles.get(name, name))) for name in spec.channels]
+    sides = {side_called(muscles.get(name, name)) for name in spec.channels} - {""}
+    own = {"", side} if side else {"", *sides} if len(sides) < 2 else {""}
+    named = [muscles.get(name, name) for name in spec.channels]
+    return [muscle_called(name) if side_called(name) in own else "" for name in named]
 
 
 def half_later(curves: Samples, patterns: Samples) -> float:

@@ -125,7 +125,8 @@ def test_the_report_holds_what_numpy_says(tmp_path: Path) -> None:
     np.testing.assert_allclose(curves.sd, np.nanstd(walk.curves[good], 0, ddof=1), rtol=1e-11)
     np.testing.assert_allclose(curves.single, walk.curves[good], rtol=1e-6)
     assert (report.accepted, report.rejected, report.reasons) == (23, 7, [("gap in the signal or the contacts", 7)])
-    cadence, cycle, stance = report.gait
+    cadence, steps, cycle, stance = report.gait
+    assert (steps.value, steps.unit) == (2 * cadence.value, "steps/min")
     for value, field in ((cadence, "cadence"), (cycle, "duration_s"), (stance, "stance_pct")):
         assert abs(value.value - walk.closed[field][good].mean()) < 1e-9
         assert abs(value.spread - walk.closed[field][good].std(ddof=1)) < 1e-9
@@ -310,7 +311,7 @@ def test_cycles_appear_as_lines_where_there_is_no_terminal(capsys: pytest.Captur
     walk.feed(outlet, 0, 4, ("closed", "statistics"))
     first, _, _, last = capsys.readouterr().out.splitlines()
     assert re.match(
-        r"cycle 1  1\.0\d\d s  stance 6\d\.\d %  5\d\.\d strides/min  peak in uV, not normalised: TA \d\d\.\d@\d+%, SO \d\d\.\d@",
+        r"cycle 1  1\.0\d\d s  stance 6\d\.\d %  5\d\.\d strides/min  peak in µV, not normalised: TA \d\d\.\d@\d+%, SO \d\d\.\d@",
         first,
     )
     assert re.match(r"cycle 4  1\.0\d\d s  rejected: gap$", last)

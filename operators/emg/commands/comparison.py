@@ -102,7 +102,9 @@ def compare_sessions(
     curves = [s.curves[:, :, at] for s, at in zip(sessions, where, strict=True)]
     intra, inter = _scatters([s.label for s in sessions], muscles, curves)
     bands = [
-        replace(_band(name, *(curves[place][:, :, k] for place in group.members[:2]), relevant_pct), group=group)
+        replace(
+            _band(name, curves[group.members[0]][:, :, k], curves[group.members[1]][:, :, k], relevant_pct), group=group
+        )
         for group in groups
         for k, name in enumerate(muscles)
     ]
