@@ -34,7 +34,6 @@ FAREWELL_S, KNOCK_S, LAST_TRY_S = 2.0, 5.0, 20.0
 """At the end: how long the last states are given to arrive; how long a broker to answer, if messages wait; how long these to arrive."""
 
 
-
 class MqttRuntime:
     """What belongs to a running outlet but not to its state."""
 
