@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import io
-import os
 import struct
 import zipfile
 from collections.abc import Callable
@@ -21,6 +20,7 @@ from stream.chunk import NS, StreamSpec
 from stream.errors import RecordingError
 from stream.recording.series import Series, write_recording
 from tests.support.measured import MOST_MB, MOST_S, measured
+from tests.support.real import DATA_MARKS, real_file
 
 
 def zeros_zstd(size: int) -> bytes:
@@ -121,14 +121,13 @@ def test_a_compressed_xdf_file_is_read_within_bounds(tmp_path: Path) -> None:
     assert told.code == 2 and "x.xdf" in told.err and "Traceback" not in told.err and told.peak_mb < MOST_MB
 
 
-@pytest.mark.parametrize("name", ["pc_int", "dec_real", "gait_bmc"])
+@pytest.mark.parametrize(
+    "name", ["pc_int", pytest.param("dec_real", marks=DATA_MARKS), pytest.param("gait_bmc", marks=DATA_MARKS)]
+)
 @pytest.mark.parametrize(("used", "frames"), [(None, 0x7FFF), (0x7FFF, None), (0x7FFF, 0x7FFF), (255, 0x7FFF)])
 def test_a_c3d_file_is_read_within_bounds(tmp_path: Path, name: str, used: int | None, frames: int | None) -> None:
     """Counts in its head that the file is much too short for."""
-    seed = Path(os.environ.get("KINEGRAPH_DATA", "/nonexistent")) / "files" / "c3d" / f"{name}.c3d"
-    if not seed.exists():
-        pytest.skip("KINEGRAPH_DATA (the folder of real recordings) is not set")
-    data = bytearray(seed.read_bytes())
+    data = bytearray(real_file(f"files/c3d/{name}.c3d").read_bytes())
     if frames:
         struct.pack_into("<HH", data, 6, 1, frames)
     if used:

@@ -25,6 +25,7 @@ from stream.errors import InputError, ParameterError
 from stream.graph.parts import catalogue
 from stream.operator import grid
 from stream.params import build
+from tests.support.real import needs_data
 
 START = 5 * NS
 MARKERS = StreamSpec((2, 3), rate_hz=100.0, channels=("HIP", "ANK"), units=("m",))
@@ -369,6 +370,7 @@ def test_the_table_says_what_it_needs(monkeypatch: pytest.MonkeyPatch, capsys: p
     assert "KINEGRAPH_DATA" in capsys.readouterr().out
 
 
+@needs_data
 def test_the_table_is_printed(
     recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -391,6 +393,7 @@ def walks(recordings: Path) -> dict[str, list[bench.Walk]]:
     return {file.stem: list(bench.walks(file)) for file in bench.people(recordings)}
 
 
+@needs_data
 def test_every_cycle_of_a_foot_worn_sensor_knows_its_stance(walks: dict[str, list[bench.Walk]]) -> None:
     """The lift-off is reported with the touch-down that ends its swing: no cycle may lose it."""
     accepted = unknown = 0
@@ -404,6 +407,7 @@ def test_every_cycle_of_a_foot_worn_sensor_knows_its_stance(walks: dict[str, lis
     assert unknown == 0
 
 
+@needs_data
 def test_steps_of_foot_worn_sensors(walks: dict[str, list[bench.Walk]]) -> None:
     everyone = bench.Score(), bench.Score()
     for name, person in walks.items():
@@ -420,6 +424,7 @@ def test_steps_of_foot_worn_sensors(walks: dict[str, list[bench.Walk]]) -> None:
         assert total.median_ms <= 15.0
 
 
+@needs_data
 @pytest.mark.parametrize(
     "variant", ["mounted at random", "all signs reversed", "scale x 0.8", "scale x 1.25", "at 50 Hz"]
 )
@@ -432,6 +437,7 @@ def test_steps_of_sensors_worn_otherwise(walks: dict[str, list[bench.Walk]], var
     assert total.median_ms <= 15.0
 
 
+@needs_data
 def test_steps_of_an_accelerometer_alone(walks: dict[str, list[bench.Walk]]) -> None:
     total = bench.Score()
     for person in walks.values():
@@ -441,6 +447,7 @@ def test_steps_of_an_accelerometer_alone(walks: dict[str, list[bench.Walk]]) -> 
     assert total.median_ms <= 25.0
 
 
+@needs_data
 def test_cuts_and_snapshots_on_a_real_walk(walks: dict[str, list[bench.Walk]]) -> None:
     walk = next(iter(walks.values()))[0]
     time = START + np.round(walk.seconds * NS).astype(np.int64)
@@ -467,6 +474,7 @@ def test_cuts_and_snapshots_on_a_real_walk(walks: dict[str, list[bench.Walk]]) -
     assert all(run == runs[0] for run in runs)
 
 
+@needs_data
 def test_overground_markers_agree_with_an_offline_method(recordings: Path) -> None:
     trials = list(bench.marker_trials(recordings))
     assert trials
@@ -495,6 +503,7 @@ def test_overground_markers_agree_with_an_offline_method(recordings: Path) -> No
         assert score.median_ms <= 10.0
 
 
+@needs_data
 def test_overground_markers_give_cycles(recordings: Path) -> None:
     for name, path, names in bench.marker_trials(recordings):
         spec = StreamSpec((8, 3), rate_hz=100.0, channels=names, units=("mm",))

@@ -15,6 +15,7 @@ from operators.gait.marker import MarkerContacts
 from stream.chunk import StreamSpec
 from stream.errors import InputError, ParameterError
 from tests.support.emg_run import drive, enveloped, recording, stamps, treadmill
+from tests.support.real import needs_data
 
 OVERGROUND = {
     "emg_epfl_S1_FLOAT": {"LTA"},
@@ -117,6 +118,7 @@ def test_the_treadmill_recording_is_good():
     assert (rows["contrast"].mean(axis=0) > 10).all()
 
 
+@needs_data
 @pytest.mark.parametrize("name", OVERGROUND)
 def test_known_faulty_channels_are_bad_and_no_others(name):
     z = recording(name)
@@ -130,6 +132,7 @@ def test_known_faulty_channels_are_bad_and_no_others(name):
         assert doubtful <= MOVED, (trial, found)
 
 
+@needs_data
 def test_a_faulty_channel_does_not_repeat_and_a_good_one_does():
     """Three overground trials after one another, ten seconds apart; left leg's touch-downs from ankle and hip markers."""
     z = recording("emg_epfl_S2_NO_FLOAT")

@@ -15,6 +15,7 @@ from operators.features.stack import Stack
 from operators.segmentation import Segment
 from tests.motion.test_segmentation import QUICK, believed_late, motion, played
 from tests.motion.test_segmentation import gestures as from_rest
+from tests.support.real import needs_data
 
 LATE = {"13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2}
 """Repetitions that are believed too late: of 4 to 16 frames, found when the activity's cycle was, of motion that hardly repeats."""
@@ -84,6 +85,7 @@ def test_gestures_from_a_resting_pose_are_believed_as_they_come_back_to_it() -> 
     assert_corrected(events)
 
 
+@needs_data
 @pytest.mark.parametrize(("recorded", "repetitions", "most"), [(annotated, 148, 20), (gestures, 150, 7)])
 def test_recorded_repetitions_are_believed_within_half_their_length(recorded: Any, repetitions: int, most: int) -> None:
     late, seen, taken = {}, 0, 0

@@ -27,6 +27,7 @@ from stream.errors import InputError, ParameterError
 from stream.operator import Operator, grid
 from stream.rows import taking
 from tests.motion.reference import Event, Reference
+from tests.support.real import needs_data
 
 RATE = 30.0
 QUICK: dict[str, Any] = {"cycle_s": 2.8, "learn_s": 3.0, "window_s": 12.0, "firm_s": 4.0}
@@ -522,6 +523,7 @@ def stacked(x: Any) -> Any:
     return np.concatenate([chunk.data for chunk in chunks_of(made)])
 
 
+@needs_data
 def test_the_three_walks_of_a_recording_are_one_cluster_that_holds_nothing_else() -> None:
     found = recording("cmu86_full/86_01")
     x = stacked(found["e15_cm"])
@@ -545,6 +547,7 @@ SHUFFLED = [f"cmu86_4ch/86_{n}" for n in ("01", "03", "07", "09", "11")]
 SHUFFLED += ["cmu86_full/86_01", "cmu86_full/86_09", "mocap6/13_29", "mocap6/13_31"]
 
 
+@needs_data
 @pytest.mark.parametrize("name", SHUFFLED)
 def test_a_recording_whose_frames_are_shuffled_is_not_cut(name: str) -> None:
     found = recording(name)
@@ -699,6 +702,7 @@ def test_who_begins_at_once_is_believed_before_enough_has_been_seen_for_a_decisi
     assert events["count"]["count"][-1] == events["activity"]["repetitions"].max() == 7
 
 
+@needs_data
 @pytest.mark.parametrize("name", ["03", "07", "09", "11"])
 def test_a_real_walk_that_begins_at_once_is_believed_from_its_second_cycle_on(name: str) -> None:
     x = np.unwrap(recording(f"cmu86_4ch/86_{name}")["angles_deg"].astype(np.float64), period=360.0, axis=0)[:2400:4]
@@ -771,6 +775,7 @@ def random_phases(x: Any, seed: int) -> Any:
     return np.fft.irfft(spectrum * np.exp(2j * np.pi * rng.random(spectrum.shape)), len(x), axis=0) + x.mean(0)
 
 
+@needs_data
 @pytest.mark.parametrize("name", ["01", "07", "11"])
 def test_most_of_what_repeats_by_chance_in_four_channels_is_not_sure(name: str) -> None:
     x = np.unwrap(recording(f"cmu86_4ch/86_{name}")["angles_deg"].astype(np.float64), period=360.0, axis=0)[::4]
