@@ -274,5 +274,11 @@ def test_tests_lie_in_rooms() -> None:
     assert not flat, (
         f"{flat} belong into one of {sorted(p.parent.name for p in (ROOT / 'tests').glob('*/__init__.py'))}"
     )
-    stems = [p.stem for p in (ROOT / "tests").rglob("test_*.py")]
+    stems = [p.stem for p in (ROOT / "tests").rglob("test_*.py") if p.parent.name != "replay"]
     assert len(stems) == len(set(stems)), "a name stands once"
+
+
+def test_every_shipped_graph_has_its_replay() -> None:
+    """tests/replay/test_NAME.py for configs/NAME.yaml, and no other."""
+    graphs = {p.stem for p in (ROOT / "configs").glob("*.yaml")}
+    assert {p.stem.removeprefix("test_") for p in (ROOT / "tests" / "replay").glob("test_*.py")} == graphs
