@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stream.chunk import Samples, Times
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.kernel import kernel
 
 TURNS = 30
 """It has settled long before."""

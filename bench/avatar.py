@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.protocols.osc import read_osc
-from stream.chunk import NS, Samples
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import joints_of
-from stream.recording import Recording
+from kinegraph.devices.osc.protocol import read_osc
+from kinegraph.stream.chunk import NS, Samples
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.recording import Recording
 
 SEEN = tuple(BONES.index(f"{side}{bone}") for side in ("Left", "Right") for bone in ("Hand", "Foot"))
 WIDEST_S = 0.2
@@ -38,7 +38,7 @@ def received(
         command = [
             sys.executable,
             "-m",
-            "stream",
+            "kinegraph.stream",
             "run",
             config,
             "--for",

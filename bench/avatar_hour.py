@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from bench.camera_latency import rendered_config
-from devices.simulators.rendered_performer import POINTS
-from stream.chunk import NS, Samples
-from stream.humanoid import BONES, NUMBERS
-from stream.recording import Recording
+from kinegraph.devices.people.rendered_performer import POINTS
+from kinegraph.stream.chunk import NS, Samples
+from kinegraph.stream.domain.humanoid import BONES, NUMBERS
+from kinegraph.stream.recording import Recording
 
 PLACES = {
     **{f"{s}_{joint}": f"{s.title()}{bone}" for s in ("left", "right") for joint, bone in (
@@ -73,7 +73,7 @@ def watched(config: Path, folder: Path) -> list[float]:
     """Run the session to its end; its resident memory (MiB), workers included, twice a second."""
     words = ("run", str(config), "-o", str(folder), "--view", "lines", "--set", "vmc.port=39571")
     session = subprocess.Popen(
-        [sys.executable, "-m", "stream", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "kinegraph.stream", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     held: list[float] = []
     while session.poll() is None:

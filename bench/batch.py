@@ -16,8 +16,8 @@ import numpy as np
 from scipy.ndimage import find_objects, label
 from scipy.spatial import cKDTree
 
-from stream.chunk import Array, Samples
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.kernel import kernel
 
 QUIET, SHORTEST, MASS, TRANSITION = 8, 5, 120, 75
 """Frames without a new neighbour that end a block; frames of the shortest path, and between two cuts; pairs of neighbours in a block;

@@ -20,19 +20,19 @@ from typing import Any
 import numpy as np
 
 from bench.report import table
-from devices.simulators.night import EPOCH_S
-from operators.sleep.scorer import SleepScorer
-from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
-from stream.engine.pipeline import Pipeline
-from stream.graph import Graph
-from stream.graph.load import load_text
-from stream.operator import grid
+from kinegraph.devices.people.night import EPOCH_S
+from kinegraph.operators.sleep.scorer import SleepScorer
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.operator import grid
 
 START = 1_772_395_200 * NS
 """2026-03-01T20:00:00Z."""
 RAW = """
-  motion_raw: {use: operators.depth.motion.Motion, from: {regions: bed, frames: camera.depth}, raw: true}
-  activity_raw: {use: operators.depth.activity.Activity, from: {bed: presence, motion: motion_raw}}
+  motion_raw: {use: operators.bed.motion.Motion, from: {regions: bed, frames: camera.depth}, raw: true}
+  activity_raw: {use: operators.bed.activity.Activity, from: {bed: presence, motion: motion_raw}}
   scorer_raw: {use: operators.sleep.scorer.SleepScorer, from: activity_raw}
 """
 """The same without simplification."""
@@ -41,26 +41,26 @@ KEPT = (
 )  # fmt: skip
 STAGES = {0: "W", 1: "N1", 2: "N2", 3: "N3", 4: "N3", 5: "R", -1: "W"}
 LEAST_S = 1.0
-"""True movement of so long makes an epoch active, as operators.depth.activity.Activity has it."""
+"""True movement of so long makes an epoch active, as operators.bed.activity.Activity has it."""
 OPERATORS = """
-  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth, components: COMPONENTS, learn_s: 60}
-  bed: {use: operators.depth.bed.BedRegion, from: simplify.blocks, sleepers: SLEEPERS, regions: REGIONS}
-  presence: {use: operators.depth.presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
-  motion: {use: operators.depth.motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}}
-  activity: {use: operators.depth.activity.Activity, from: {bed: presence, far: motion.far, motion: motion}}
+  simplify: {use: operators.bed.frames.simplify.Simplify, from: camera.depth, components: COMPONENTS, learn_s: 60}
+  bed: {use: operators.bed.bed.BedRegion, from: simplify.blocks, sleepers: SLEEPERS, regions: REGIONS}
+  presence: {use: operators.bed.presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
+  motion: {use: operators.bed.motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}}
+  activity: {use: operators.bed.activity.Activity, from: {bed: presence, far: motion.far, motion: motion}}
   scorer: {use: operators.sleep.scorer.SleepScorer, from: activity, channel: FIRST}
-  breathing: {use: operators.depth.breathing.Breathing, from: {regions: bed, bed: presence, blocks: simplify.blocks}}
+  breathing: {use: operators.bed.breathing.Breathing, from: {regions: bed, bed: presence, blocks: simplify.blocks}}
 """
 
 
 def graph(
     source: str, *, components: int = 1, sleepers: str = "[sleeper]", regions: str = "[]", more: str = ""
 ) -> Graph:
-    """The graph; `source` are the parameters of devices.simulators.bedside.Bedside as in a YAML mapping."""
+    """The graph; `source` are the parameters of devices.people.bedside.Bedside as in a YAML mapping."""
     operators = OPERATORS.replace("COMPONENTS", str(components)).replace("SLEEPERS", sleepers)
     operators = operators.replace("REGIONS", regions)
     operators = operators.replace("FIRST", sleepers.strip("[]").split(",")[0])
-    return load_text(f"nodes:\n  camera: {{use: devices.simulators.bedside.Bedside, {source}}}\n{operators}{more}")
+    return load_text(f"nodes:\n  camera: {{use: devices.people.bedside.Bedside, {source}}}\n{operators}{more}")
 
 
 class Run:

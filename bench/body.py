@@ -19,15 +19,15 @@ import numpy as np
 from PIL import Image
 
 from bench.body_render import CAMERA, Clip, studio, truth_of
-from operators.body.background import Background
-from operators.body.extrema import Extrema
-from operators.body.markers import Markers
-from operators.body.names import MARKERS
-from operators.body.persons import Persons
-from operators.body.pose_network import PoseNetwork
-from operators.body.relief import Relief
-from stream.chunk import Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.body.background import Background
+from kinegraph.operators.body.extrema import Extrema
+from kinegraph.operators.body.markers import Markers
+from kinegraph.operators.body.names import MARKERS
+from kinegraph.operators.body.network.operator import PoseNetwork
+from kinegraph.operators.body.network.relief import Relief
+from kinegraph.operators.body.persons import Persons
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 DEV = (
     "walk_front",

@@ -20,13 +20,13 @@ import numpy as np
 
 from bench.body import SHOWN, clips
 from bench.body_render import CAMERA, Clip
-from devices.oak import Oak
-from devices.oak.keypoint_sets import COCO
-from devices.oak.keypoints import markers_of, sight_of
-from devices.oak.library import library
-from devices.oak.network import located
-from devices.simulators.oak_keypoints import detection
-from operators.body.names import MARKERS
+from kinegraph.devices.oak import Oak
+from kinegraph.devices.oak.keypoint_sets import COCO
+from kinegraph.devices.oak.keypoints import markers_of, sight_of
+from kinegraph.devices.oak.library import library
+from kinegraph.devices.oak.network import located
+from kinegraph.devices.oak.simulated_keypoints import detection
+from kinegraph.operators.body.names import MARKERS
 
 LIMBS = SHOWN[1:]
 """The markers that are compared; the truth has no ears, of which the head is made."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.kernel import kernel
+from kinegraph.stream.kernel import kernel
 
 HEIGHT, WIDTH = 240, 320
 CAMERA = np.array([285.63, 285.63, 159.5, 119.5])

@@ -19,10 +19,10 @@ import numpy as np
 
 from bench.body import FAR_CM, FLAGGED, GOOD_CM, SHOWN, Chain, longest
 from bench.body_render import CAMERA, Clip, studio
-from operators.body.markers import Markers
-from operators.body.names import SEEN
-from stream.chunk import Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.body.markers import Markers
+from kinegraph.operators.body.names import SEEN
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 HEADINGS = (0, 180, 90, 150, 30, 225, 270, 180, 300, 120)
 VIEWS = ("front", "between", "side", "between", "back")

@@ -10,12 +10,12 @@ import numpy as np
 from bench import batch
 from bench.motion import Series, poses, segment
 from bench.report import Goal, Section
-from operators.features.bundle import Bundle
-from operators.features.stack import Stack
-from operators.segmentation.evaluation.found import Found
-from operators.segmentation.evaluation.scores import score
-from stream.chunk import NS, Array, Samples
-from stream.kernel import kernel
+from kinegraph.operators.features.bundle import Bundle
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation.evaluation.found import Found
+from kinegraph.operators.segmentation.evaluation.scores import score
+from kinegraph.stream.chunk import NS, Array, Samples
+from kinegraph.stream.kernel import kernel
 
 PAIRS = 40
 """The most pairs of one cluster that are looked at."""

@@ -15,15 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from bench.avatar import lag_of, received
-from devices.simulators.rendered_performer import POINTS
-from operators.body.network import default_model
-from stream.chunk import NS
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import joints_of
-from stream.recording import Recording
+from kinegraph.devices.people.rendered_performer import POINTS
+from kinegraph.operators.body.network.blazepose import default_model
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.recording import Recording
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "avatar.yaml"
-CAMERA = "  camera:\n    use: devices.simulators.before_camera.BeforeCamera\n\n"
+CAMERA = "  camera:\n    use: devices.people.before_camera.BeforeCamera\n\n"
 FOLLOWED_S = 6.0
 """By then the performer has stepped into view and the avatar follows."""
 

@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 
 from bench.report import Section, short, whole
-from devices.simulators.indexed import Indexed
-from devices.simulators.misbehaviour import Misbehaviour
-from stream.engine.session import Session
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.lines.indexed_simulator import Indexed
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 
 RATE_HZ = 200.0
 ONCE = Misbehaviour(unplug_every_s=12.0, unplug_s=9.0)
 LOOSE = Misbehaviour(unplug_every_s=3.6, unplug_s=0.8)
 GRAPH = """
 nodes:
-  lines: {{use: devices.ascii_lines.AsciiLines, port: {port}, columns: [index, t, n], time: t, rate_hz: {rate}}}
+  lines: {{use: devices.lines.AsciiLines, port: {port}, columns: [index, t, n], time: t, rate_hz: {rate}}}
 """
 
 

@@ -19,11 +19,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from operators.gait.acceleration import AccelerationContacts
-from operators.gait.contacts import Contacts
-from operators.gait.inertial import InertialContacts
-from operators.gait.marker import MarkerContacts
-from stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.operators.contacts.acceleration import AccelerationContacts
+from kinegraph.operators.contacts.contacts import Contacts
+from kinegraph.operators.contacts.inertial import InertialContacts
+from kinegraph.operators.contacts.marker import MarkerContacts
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
 
 TOLERANCE_S = 0.25
 START_NS = 1_700_000_000 * NS

@@ -23,10 +23,10 @@ import numpy as np
 from bench.engines import environment
 from bench.motion import RATE, Series, poses, segment
 from bench.report import Section, marks, publish, whole
-from operators.features.stack import Stack
-from operators.segmentation.evaluation.found import Found
-from operators.segmentation.evaluation.scores import Scores, score
-from operators.segmentation.evaluation.truth import Truth
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation.evaluation.found import Found
+from kinegraph.operators.segmentation.evaluation.scores import Scores, score
+from kinegraph.operators.segmentation.evaluation.truth import Truth
 
 SHOWN = ("f1", "covering", "strict", "tolerant")
 

@@ -23,24 +23,25 @@ from typing import Any
 
 import numpy as np
 
-from devices.binary import Binary
-from devices.ble.link import Notification
-from devices.ble.polar import Polar, PolarReading
-from devices.clocks.rate_check import Policy
-from devices.frame_reading import FrameReading
-from devices.natnet import NatNet, NatNetReading
-from devices.osc import OscInlet, OscReading
-from devices.protocols import natnet, polar_pmd
-from devices.protocols.declared import Frame
-from devices.protocols.natnet import ServerInfo
-from devices.protocols.natnet_build import build_frame, build_models
-from devices.protocols.osc import OscReader
-from devices.protocols.osc_write import bundles, floats
-from devices.protocols.packet_decoder import PacketDecoder
-from devices.protocols.polar_pmd import PmdDecoder
-from devices.simulators.natnet import MODELS, TICK_HZ, NatNetScene
-from devices.simulators.polar import PolarBelt
-from stream.graph.load import load_text
+from kinegraph.devices.clocks.rate_check import Policy
+from kinegraph.devices.frames.declared import Frame
+from kinegraph.devices.frames.packet_decoder import PacketDecoder
+from kinegraph.devices.frames.reading import FrameReading
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.natnet import protocol as natnet
+from kinegraph.devices.natnet.build import build_frame, build_models
+from kinegraph.devices.natnet.protocol import ServerInfo
+from kinegraph.devices.natnet.simulator import MODELS, TICK_HZ, NatNetScene
+from kinegraph.devices.natnet.source import NatNet, NatNetReading
+from kinegraph.devices.osc.inlet import OscInlet, OscReading
+from kinegraph.devices.osc.protocol import OscReader
+from kinegraph.devices.osc.writer import bundles, floats
+from kinegraph.devices.polar import protocol as polar_pmd
+from kinegraph.devices.polar.protocol import PmdDecoder
+from kinegraph.devices.polar.simulator import PolarBelt
+from kinegraph.devices.polar.source import Polar, PolarReading
+from kinegraph.devices.transport.ble_link import Notification
+from kinegraph.stream.graph.reading.load import load_text
 from tests.support.device_feed import Kept, free_udp_port
 
 N = 4000
@@ -178,7 +179,7 @@ GRAPH = """
 nodes:
   osc: {use: devices.osc.OscInlet, port: 9999, streams: [{address: /a, name: a, rate_hz: 100, arguments: [{name: x}, {name: y}, {name: z},
     {role: counter}]}]}
-  udp: {use: devices.binary.Binary, port: "udp://127.0.0.1:9998", frames: [{name: f, sync: "", rate_hz: 100, fields: [{type: u32,
+  udp: {use: devices.frames.Binary, port: "udp://127.0.0.1:9998", frames: [{name: f, sync: "", rate_hz: 100, fields: [{type: u32,
     role: counter}, {type: f32, name: a}, {type: f32, name: b}, {type: f32, name: c}]}]}
 """
 
@@ -263,7 +264,7 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link, tempfile.Temporar
 SOURCE = """
 import json, os, sys, threading, time
 from bench.datagrams import GRAPH
-from stream.graph.load import load_text
+from kinegraph.stream.graph.reading.load import load_text
 class Feed:
     stopped, again, samples = False, False, 0
     now = staticmethod(time.time_ns)

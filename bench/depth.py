@@ -15,13 +15,13 @@ import numpy as np
 import zstandard
 
 from bench.report import Goal, Section, short
-from devices.oak.adapter import Frames, Message
-from devices.simulators.sleeper import Sleeper
-from stream.chunk import Chunk, StreamSpec
-from stream.graph import RecordingOptions
-from stream.operator import grid
-from stream.recording import Recorder
-from stream.recording.packed import Packer, unpack
+from kinegraph.devices.oak.adapter import Frames, Message
+from kinegraph.devices.people.sleeper import Sleeper
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recorder
+from kinegraph.stream.recording.format.packed import Packer, unpack
 
 WIDTH, HEIGHT = 640, 480
 

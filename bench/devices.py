@@ -24,12 +24,13 @@ from pathlib import Path
 import numpy as np
 
 from bench.report import Goal, Section, short, whole
-from devices.binary import Binary
-from devices.protocols import ascii_lines, cyton
-from devices.protocols.frame_decoder import FrameDecoder
-from devices.simulators.binary import BinaryModel
-from devices.transport.transport import connect
-from stream.graph.load import load
+from kinegraph.devices.cyton import protocol as cyton
+from kinegraph.devices.frames.decoder import FrameDecoder
+from kinegraph.devices.frames.simulator import BinaryModel
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.lines import protocol as ascii_lines
+from kinegraph.devices.transport.transport import connect
+from kinegraph.stream.graph.reading.load import load
 
 HOUSE = Path(__file__).resolve().parent.parent
 PACKET = 33
@@ -53,7 +54,7 @@ for line in sys.stdin:
 
 OURS = """
 import sys, threading, time
-from devices.cyton import Cyton
+from kinegraph.devices.cyton.source import Cyton
 class Feed:
     stopped, again, samples, problems = False, False, 0, 0
     now = staticmethod(time.time_ns)
@@ -72,8 +73,8 @@ print(__import__("json").dumps([time.process_time() - cpu, feed.samples - first,
 
 RECORDED = """
 import json, pathlib, sys, tempfile, threading, time
-from stream.engine.session import Session
-from stream.graph.load import load_text
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load_text
 graph = load_text(f"nodes: {{board: {{use: devices.cyton.Cyton, port: {sys.argv[1]!r}}}}}")
 with tempfile.TemporaryDirectory() as folder:
     session = Session(graph, pathlib.Path(folder, "s"))
@@ -344,7 +345,7 @@ def acquisition(rounds: int, seconds: float) -> Section:
 
 @contextmanager
 def _board() -> Iterator[str]:
-    command = [sys.executable, "-m", "stream", "simulate", "cyton"]
+    command = [sys.executable, "-m", "kinegraph.stream", "simulate", "cyton"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=HOUSE) as process:
         assert process.stdout
         try:

@@ -22,11 +22,11 @@ from bench.contacts import zeni
 from bench.motion import Series, chunks, events
 from bench.report import Section, marks, publish, whole
 from bench.sensors import read, told_by
-from operators.features.weigh import Weigh
-from operators.segmentation import Segment
-from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.operator import Operator
-from stream.rows import taking
+from kinegraph.operators.features.weigh import Weigh
+from kinegraph.operators.segmentation import Segment
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.stream.data.rows import taking
+from kinegraph.stream.operator import Operator
 
 G = 9.80665
 STEP_NS = NS // 10

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from bench.emg_session import HEAD, Outcome, analysed, drive, table_row
-from devices.simulators.treadmill import Treadmill
-from devices.simulators.treadmill.faults import Fault, Faults
-from operators.gait.force import ForceContacts
-from stream.chunk import NS, Samples, StreamSpec
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.devices.people.treadmill.faults import Fault, Faults
+from kinegraph.operators.contacts.force import ForceContacts
+from kinegraph.stream.chunk import NS, Samples, StreamSpec
 
 MUSCLES = ("RF", "BF", "TA", "SO")
 SECONDS, FROM_S = 45, 15

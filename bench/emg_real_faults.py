@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from bench.emg_session import HEAD, Outcome, analysed, drive, table_row
-from devices.simulators.treadmill import Treadmill
-from devices.simulators.treadmill.faults import Fault, Faults
-from operators.gait.contacts import CONTACT
-from operators.gait.marker import MarkerContacts
-from operators.gait.marker_watch import MarkerWatch
-from stream.chunk import NS, Samples, StreamSpec
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.devices.people.treadmill.faults import Fault, Faults
+from kinegraph.operators.contacts.contacts import CONTACT
+from kinegraph.operators.contacts.marker import MarkerContacts
+from kinegraph.operators.monitors.marker_watch import MarkerWatch
+from kinegraph.stream.chunk import NS, Samples, StreamSpec
 
 RATE, FROM_S, TIMES, FADE = 1000, 15, 9, 20
 MUSCLES = ("VM", "BF", "TA", "GM", "SO")

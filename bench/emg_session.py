@@ -9,18 +9,18 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from operators.emg.channel_watch import ChannelWatch
-from operators.emg.electrode_watch import ElectrodeWatch
-from operators.emg.envelope import Envelope
-from operators.emg.quality import SignalQuality
-from operators.gait.cycle_watch import CycleWatch
-from operators.gait.cycles import Cycles
-from operators.gait.pattern_watch import PatternWatch
-from operators.gait.review import CycleReview
-from operators.gait.statistics import CycleStatistics
-from operators.gait.timing_watch import TimingWatch
-from stream.chunk import FOREVER, NS, Chunk
-from stream.engine.merge import Merge
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.cycles.review import CycleReview
+from kinegraph.operators.cycles.statistics.operator import CycleStatistics
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.operators.emg.quality import SignalQuality
+from kinegraph.operators.monitors.channel_watch import ChannelWatch
+from kinegraph.operators.monitors.cycle_watch import CycleWatch
+from kinegraph.operators.monitors.electrode_watch import ElectrodeWatch
+from kinegraph.operators.monitors.pattern_watch import PatternWatch
+from kinegraph.operators.monitors.timing_watch import TimingWatch
+from kinegraph.stream.chunk import FOREVER, NS, Chunk
+from kinegraph.stream.engine.flow.merge import Merge
 
 Stream: TypeAlias = tuple[Any, Any, Any]
 """Spec, stamps, samples."""

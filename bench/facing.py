@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.body_render import JOINTS, Studio, studio
-from operators.body.facing import CELLS, facing_of, shape_of
-from stream.model import write_model
+from kinegraph.operators.body.facing import CELLS, facing_of, shape_of
+from kinegraph.stream.data.model_file import write_model
 
 HELD_OUT = ("14_14", "02_01", "13_29", "01_05")
 """Sequences that are not trained on: those of bench.body's other clips."""

@@ -21,18 +21,18 @@ import numpy as np
 
 from bench.mixtures import maxima, walked
 from bench.report import Goal, Section, marks, publish, short, whole
-from devices.simulators.treadmill.signal import BURSTS
-from devices.simulators.walking_back import MANNERS, Back
-from operators.emg.mixture_distance import cauchy_schwarz
-from operators.emg.mixtures import PeakMixtures
-from operators.emg.peak_window import PeakWindow
-from operators.emg.refit import Fitting, Refit
-from operators.steps.commands.validation import forest
-from operators.steps.forest import Forest
-from operators.steps.step_kernel import BINS, COUNT, FASTEST_HZ, WEINBERG, describe
-from operators.steps.steps import Steps
-from stream.chunk import NS, Array, Chunk, Samples, StreamSpec
-from stream.operator import grid
+from kinegraph.devices.people.treadmill.signal import BURSTS
+from kinegraph.devices.people.walking_back import MANNERS, Back
+from kinegraph.operators.emg.mixtures.distance import cauchy_schwarz
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+from kinegraph.operators.emg.mixtures.peak_window import PeakWindow
+from kinegraph.operators.emg.mixtures.refit import Fitting, Refit
+from kinegraph.operators.steps.commands.validation import forest
+from kinegraph.operators.steps.forest import Forest
+from kinegraph.operators.steps.step_kernel import BINS, COUNT, FASTEST_HZ, WEINBERG, describe
+from kinegraph.operators.steps.steps import Steps
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.operator import grid
 
 CYCLES, TREES, RATE_HZ = 20, 100, 100.0
 Call = Callable[[], object]

@@ -23,10 +23,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench.report import Goal, Section, short, whole
-from devices.lsl.network import library
-from stream.chunk import Chunk, Specs
-from stream.clock import SessionClock
-from stream.operator import Operator
+from kinegraph.devices.lsl.network import library
+from kinegraph.stream.chunk import Chunk, Specs
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.system.clock import SessionClock
 
 HOUSE = Path(__file__).resolve().parent.parent
 RATE_HZ, CHANNELS, CHUNK = 2000, 16, 10
@@ -102,8 +102,8 @@ def bare(seconds: float) -> list[float]:
 def ours(seconds: float, folder: Path | None) -> list[float]:
     """The same in an operator of a whole session."""
     from bench import lsl as module
-    from stream.engine.session import Session
-    from stream.graph.load import load_text
+    from kinegraph.stream.engine.session import Session
+    from kinegraph.stream.graph.reading.load import load_text
 
     session = Session(load_text(GRAPH), folder, duration_s=seconds)
     module.Noted.clock = session.clock

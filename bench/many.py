@@ -19,16 +19,16 @@ from typing import Any
 
 import kinegraph as kg
 from bench.report import short
-from stream.batch.cluster import LOCAL, Lost, spread, workers
-from stream.batch.jobs import jobs
-from stream.batch.study import batch
-from stream.batch.work import Common, do
+from kinegraph.stream.batch.cluster import LOCAL, Lost, spread, workers
+from kinegraph.stream.batch.jobs import jobs
+from kinegraph.stream.batch.study import batch
+from kinegraph.stream.batch.work import Common, do
 
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 120}
-  rectify: {use: operators.rectify.Rectify, from: board.emg}
-  smooth: {use: operators.iir.Lowpass, from: rectify, cutoff_hz: 6}
+  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 120}
+  rectify: {use: operators.filters.rectify.Rectify, from: board.emg}
+  smooth: {use: operators.filters.iir.Lowpass, from: rectify, cutoff_hz: 6}
 record: [smooth]
 """
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from bench.motion import Series, before_camera, events, features
 from bench.report import Section, marks, publish, whole
-from devices.simulators.exerciser import JOINTS, Exerciser
-from operators.segmentation import Segment
-from stream.chunk import NS
+from kinegraph.devices.people.exerciser import JOINTS, Exerciser
+from kinegraph.operators.segmentation import Segment
+from kinegraph.stream.chunk import NS
 
 EXERCISES = ("arms", "squat", "knees")
 TIMES, PAUSE_S, NOISE_MM = 10, 4.0, 6.0

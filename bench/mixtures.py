@@ -14,13 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from devices.simulators.treadmill.signal import BURSTS
-from operators.emg.mixture_drift import MixtureDrift
-from operators.emg.mixture_events import MIXTURE
-from operators.emg.mixtures import PeakMixtures
-from operators.gait.cycle import CLOSED, MAXIMUM, POINTS
-from stream.chunk import NS, Array, Chunk, Samples, StreamSpec
-from stream.plain import say
+from kinegraph.devices.people.treadmill.signal import BURSTS
+from kinegraph.operators.cycles.cycle import CLOSED, MAXIMUM, POINTS
+from kinegraph.operators.emg.mixtures.drift import MixtureDrift
+from kinegraph.operators.emg.mixtures.events import MIXTURE
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.text.safe_text import say
 
 PER_HOUR = 57 * 60
 NOISE, BASELINE_UV = 0.28, 2.0

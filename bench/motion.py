@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from devices.simulators.exerciser import JOINTS, Exerciser, Routine
-from operators.align import Align
-from operators.features.mirror import Mirror
-from operators.features.pose import Pose
-from operators.features.stack import Stack
-from operators.gaps import FillGaps
-from operators.segmentation import Segment
-from operators.segmentation.evaluation.found import Found, merged, second_steps
-from operators.segmentation.evaluation.truth import Truth, read_truth
-from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.operator import Operator, grid
-from stream.rows import taking
+from kinegraph.devices.people.exerciser import JOINTS, Exerciser, Routine
+from kinegraph.operators.features.mirror import Mirror
+from kinegraph.operators.features.pose import Pose
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.filters.gaps import FillGaps
+from kinegraph.operators.segmentation import Segment
+from kinegraph.operators.segmentation.evaluation.found import Found, merged, second_steps
+from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
+from kinegraph.operators.timing.align import Align
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.stream.data.rows import taking
+from kinegraph.stream.operator import Operator, grid
 
 RATE = 30.0
 

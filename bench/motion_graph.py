@@ -23,16 +23,16 @@ import numpy as np
 
 from bench.aligned_clusters import aligned_clusters
 from bench.report import table
-from devices.synthesis.aims import Aim
-from devices.synthesis.walker import LEGS, GraphWalk
-from operators.motion_graph.build import build_graph
-from operators.motion_graph.measures import measure
-from operators.motion_graph.primitives import segmented
-from operators.motion_graph.takes import Take, mirrored_poses
-from stream.chunk import Array, Samples, Times
-from stream.errors import KinegraphError
-from stream.joint_tree import JointTree, joints_of
-from stream.motion_graph import MotionGraph
+from kinegraph.devices.synthesis.aims import Aim
+from kinegraph.devices.synthesis.walker import LEGS, GraphWalk
+from kinegraph.operators.maps.motion_graph.build import build_graph
+from kinegraph.operators.maps.motion_graph.measures import measure
+from kinegraph.operators.maps.motion_graph.primitives import segmented
+from kinegraph.operators.maps.motion_graph.takes import Take, mirrored_poses
+from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.domain.motion_graph import MotionGraph
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.errors import KinegraphError
 from tests.support import motion_made
 from tests.support.motion_made import RATE, cmu_takes
 

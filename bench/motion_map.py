@@ -19,15 +19,15 @@ import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from bench.report import table
-from devices.outlets.page.wire import decode
-from operators.motion_map import MotionMap
-from operators.pose_map.commands.build import build_index
-from operators.pose_map.commands.gather import GatheredPoses
-from operators.pose_map.commands.marker_table import MarkerTable
-from operators.pose_map.retrieve import QUERY, PoseSearch
-from operators.pose_map.som import PoseGrid
-from stream.chunk import Chunk, StreamSpec, grid
-from stream.motion_index import MotionIndex
+from kinegraph.devices.page.transfer.wire import decode
+from kinegraph.operators.maps.motion_map import MotionMap
+from kinegraph.operators.maps.pose_map.commands.build import build_index
+from kinegraph.operators.maps.pose_map.commands.gather import GatheredPoses
+from kinegraph.operators.maps.pose_map.commands.marker_table import MarkerTable
+from kinegraph.operators.maps.pose_map.retrieve import QUERY, PoseSearch
+from kinegraph.operators.maps.pose_map.som import PoseGrid
+from kinegraph.stream.chunk import Chunk, StreamSpec, grid
+from kinegraph.stream.domain.pose_map import MotionIndex
 
 MARKERS, RATE_HZ, SEQUENCE = 19, 60.0, 20_000
 DRAGS, QUERIES = 150, 40
@@ -80,7 +80,7 @@ def main(poses: int) -> None:
 
 def served(path: Path, poses: int) -> list[list[str]]:
     """`kinegraph map` of an index that is there, as a client sees it."""
-    command = [sys.executable, "-m", "stream", "map", str(path), "--page-at", ":0", "--no-token"]
+    command = [sys.executable, "-m", "kinegraph.stream", "map", str(path), "--page-at", ":0", "--no-token"]
     began = time.perf_counter()
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr

@@ -17,11 +17,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from bench.report import Goal, Section, short, whole
-from devices.mti import Mti
-from devices.protocols import xbus
-from devices.simulators.mti import MtiModel
-from devices.simulators.mti import SimulatedMti as Simulated
-from stream.chunk import Chunk
+from kinegraph.devices.mti import xbus
+from kinegraph.devices.mti.simulator import MtiModel
+from kinegraph.devices.mti.simulator import SimulatedMti as Simulated
+from kinegraph.devices.mti.source import Mti
+from kinegraph.stream.chunk import Chunk
 
 RATE_HZ = 2000
 MOST_PERCENT = 3.0
@@ -119,7 +119,7 @@ def whole_source(seconds: float) -> Section:
 
 @contextmanager
 def _in_a_process() -> Iterator[str]:
-    command = [sys.executable, "-m", "stream", "simulate", "mti"]
+    command = [sys.executable, "-m", "kinegraph.stream", "simulate", "mti"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout
         try:

@@ -18,11 +18,11 @@ import numpy as np
 
 from bench.motion import Series, events, poses
 from bench.report import Section, marks, publish, whole
-from operators.features.stack import Stack
-from operators.segmentation import Segment
-from operators.segmentation.taught import UNKNOWN, Taught, taught
-from stream.chunk import Samples
-from stream.errors import KinegraphError
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation import Segment
+from kinegraph.operators.segmentation.names.taught import UNKNOWN, Taught, taught
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.errors import KinegraphError
 
 Shown = dict[str, list[Samples]]
 """The repetitions (n, features) found in a recording, by the exercise that they are."""

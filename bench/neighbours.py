@@ -21,10 +21,10 @@ import numpy as np
 from llvmlite.binding import get_host_cpu_features
 
 from bench.report import Goal, Section, marks, publish, short, whole
-from operators.neighbours import Index
-from operators.neighbours.follow import follow
-from stream.chunk import Array
-from stream.kernel import kernel
+from kinegraph.operators.neighbours import Index
+from kinegraph.operators.neighbours.follow import follow
+from kinegraph.stream.chunk import Array
+from kinegraph.stream.kernel import kernel
 
 K, BAND = 32, 30
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from bench.bedside import START, Run, graph
 from bench.report import Goal, Section, short
-from devices.simulators.bedroom import Bedroom
-from devices.simulators.bedside import Bedside
-from stream.chunk import NS, Array, Chunk
+from kinegraph.devices.people.bedroom import Bedroom
+from kinegraph.devices.people.bedside import Bedside
+from kinegraph.stream.chunk import NS, Array, Chunk
 
 T = TypeVar("T")
 WIDTH, HEIGHT, FPS = 640, 480, 30
@@ -25,7 +25,7 @@ MORNING = """
   nights: {use: operators.sleep.nights.Nights, from: {bed: presence}}
   statistics: {use: operators.sleep.statistics.SleepStatistics, from: {epochs: scorer, periods: nights}}
   night_map:
-    use: operators.depth.night_map.NightMap
+    use: operators.bed.night_map.NightMap
     from: {map: motion.map, seen: activity.epochs, bed: presence, nights: statistics}
 """
 """With these the graph is the whole one of configs/bedside_sleep.yaml, but for its outlets."""

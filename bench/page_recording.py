@@ -15,12 +15,12 @@ from websockets.sync.client import connect
 
 from bench.page_session import BOARD, CHANNELS, HOUSE, PATIENCE_S, RATE_HZ
 from bench.report import Goal, Section, short
-from devices.outlets.page.pyramid import Pyramid
-from devices.outlets.page.viewing import RecordingHub
-from devices.outlets.page.wire import Look, decode
-from stream.chunk import NS, Chunk, StreamSpec, grid
-from stream.graph import RecordingOptions
-from stream.recording import Recorder, Recording
+from kinegraph.devices.page.recorded.pyramid import Pyramid
+from kinegraph.devices.page.recorded.viewing import RecordingHub
+from kinegraph.devices.page.transfer.wire import Look, decode
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, grid
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder, Recording
 
 LOOK = {"do": "look", "streams": [0], "begin": 0, "end": 10, "at": 5, "points": 1000}
 
@@ -78,7 +78,7 @@ def looked(minutes: float, scrubs: int) -> Section:
 def begun(path: Path) -> float:
     """How long it takes from the command to the first picture at a headless client (s)."""
     began = time.monotonic()
-    command = [sys.executable, "-m", "stream", "view", str(path), "--page-at", ":0", "--no-token"]
+    command = [sys.executable, "-m", "kinegraph.stream", "view", str(path), "--page-at", ":0", "--no-token"]
     with subprocess.Popen(command, cwd=HOUSE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stderr

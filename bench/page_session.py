@@ -19,12 +19,12 @@ from typing import ClassVar
 import numpy as np
 from websockets.sync.client import ClientConnection
 
-from devices.outlets.page.wire import decode
-from stream.chunk import NS, Chunk, Specs, StreamSpec, grid
-from stream.mesh import Topology
-from stream.operator import Operator
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.devices.page.transfer.wire import decode
+from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec, grid
+from kinegraph.stream.domain.mesh import Topology
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 HOUSE = Path(__file__).resolve().parent.parent
 RATE_HZ, CHANNELS, CHUNK = 2000, 16, 10
@@ -37,7 +37,7 @@ GRAPH = """
 nodes:
   board: {use: bench.page_session.Board}
   envelope: {use: operators.emg.Envelope, from: board}
-  rectified: {use: operators.rectify.Rectify, from: board}
+  rectified: {use: operators.filters.rectify.Rectify, from: board}
   aged: {use: bench.page_session.Aged, from: rectified, path: AGES}
 """
 MESH = "nodes:\n  mesh: {use: bench.page_session.Meshes}\n"
@@ -117,7 +117,7 @@ def session(folder: Path, graph: str, *, page: bool) -> Iterator[tuple[subproces
     """A session, ended by Ctrl-C; its page's address."""
     (folder / "g.yaml").write_text(graph.replace("AGES", str(folder / "ages.json")))
     log = folder / "said.txt"
-    command = [sys.executable, "-m", "stream", "run", str(folder / "g.yaml"), "--no-record", "--view", "none"]
+    command = [sys.executable, "-m", "kinegraph.stream", "run", str(folder / "g.yaml"), "--no-record", "--view", "none"]
     environment = {**os.environ, "PYTHONPATH": str(HOUSE)}
     with log.open("wb") as said, subprocess.Popen(
         [*command, *(["--page-at", ":0", "--no-token"] if page else [])],

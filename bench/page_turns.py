@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 from bench.page_clients import company
 from bench.page_session import CHUNK, PATIENCE_S, RATE_HZ, WARM_S, looks, session
 from bench.report import short
-from devices.outlets.page.wire import decode
+from kinegraph.devices.page.transfer.wire import decode
 
 PROCESS_CLOCK = 2
 """CPUCLOCK_SCHED: of the clocks that Linux keeps of a process, the exact one."""

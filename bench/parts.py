@@ -10,12 +10,12 @@ from typing import ClassVar
 import numpy as np
 
 from bench.work import CHANNELS, RATE_HZ, Feed, Sink, cycled, stamps
-from stream import source
-from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
-from stream.engine.pipeline import Pipeline
-from stream.engine.replay import FOLD_EVERY
-from stream.operator import Operator
-from stream.params import param
+from kinegraph.stream import source
+from kinegraph.stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.replay import FOLD_EVERY
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.params import param
 
 
 def leave(rows: Samples) -> None:

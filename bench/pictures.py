@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.sleep import BLOCK, frames, learned
-from stream.chunk import NS, Array, Chunk
+from kinegraph.stream.chunk import NS, Array, Chunk
 
 MIDDLE = (87, 320)
 """Where the sleeper's head is in frames of 640 x 480: row, column."""

@@ -18,16 +18,16 @@ from typing import TypeAlias
 import numpy as np
 
 from bench.avatar import SEEN, lag_of
-from operators.one_euro import OneEuro
-from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
-from operators.whole_pose.learn import Lesson, learn_pose, lessons_of
-from operators.whole_pose.operator import WholePose
-from operators.whole_pose.solve_kernel import place_marks
-from stream.chunk import Array, Chunk, Samples, StreamSpec
-from stream.humanoid import to_humanoid
-from stream.joint_tree import JointTree, joints_of, local_poses
-from stream.model import write_model
-from stream.operator import grid
+from kinegraph.operators.filters.one_euro import OneEuro
+from kinegraph.operators.pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
+from kinegraph.operators.pose.learn import Lesson, learn_pose, lessons_of
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.operators.pose.solve_kernel import place_marks
+from kinegraph.stream.chunk import Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.data.model_file import write_model
+from kinegraph.stream.domain.humanoid import to_humanoid
+from kinegraph.stream.domain.skeleton import JointTree, joints_of, local_poses
+from kinegraph.stream.operator import grid
 
 NINE = tuple(name for name in USUAL if not name.startswith(("elbow", "knee")))
 FOLDS = (("13", "14"), ("03",), ("02",), ("01",))

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.pose import RATE, filtered, marks_of, sequences
-from operators.whole_pose.landmarks import NAMES, USUAL
-from operators.whole_pose.operator import WholePose
-from stream.chunk import Array, Chunk, Samples, StreamSpec
-from stream.humanoid import BONES
-from stream.joint_tree import joints_of
-from stream.operator import grid
+from kinegraph.operators.pose.landmarks import NAMES, USUAL
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.stream.chunk import Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.operator import grid
 
 NOISES_M = (0.0, 0.005, 0.015, 0.03)
 STILL_M, LOW_M = 0.003, 0.03

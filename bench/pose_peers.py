@@ -23,11 +23,11 @@ from scipy.spatial.transform import Rotation
 
 from bench.engines import EngineError
 from bench.pose import FOLDS, _constant, marks_of, model_at, played, sequences
-from operators.whole_pose.landmarks import NAMES, USUAL
-from operators.whole_pose.learn import lessons_of
-from operators.whole_pose.operator import WholePose
-from stream.chunk import Samples
-from stream.joint_tree import JointTree, joints_of
+from kinegraph.operators.pose.landmarks import NAMES, USUAL
+from kinegraph.operators.pose.learn import lessons_of
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
 
 VERSION = "1.1.5"
 SOLVER = Path(__file__).parent / "contenders" / "kalidokit.mjs"

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from bench.pose import RATE, filtered, marks_of, sequences
-from operators.whole_pose.footing import Footing
-from operators.whole_pose.landmarks import NAMES, USUAL
-from operators.whole_pose.operator import WholePose
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.humanoid import BONES
-from stream.joint_tree import JointTree, joints_of
-from stream.operator import grid
+from kinegraph.operators.pose.footing import Footing
+from kinegraph.operators.pose.landmarks import NAMES, USUAL
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.operator import grid
 
 HIPS = tuple(name for name in USUAL if name.startswith("hip"))
 HANDS_UP = tuple(name for name in USUAL if not name.startswith(("hip", "knee", "ankle")))

@@ -29,11 +29,11 @@ import numpy as np
 
 from bench.night import frames
 from bench.report import HOUSE, Section, marks, publish, short, whole
-from devices.simulators import bedroom
-from stream.chunk import NS, Chunk, Specs, StreamSpec
-from stream.outlet import Outlet
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.devices.people import bedroom
+from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 CONFIG = HOUSE / "configs" / "bedside_sleep.yaml"
 CAMERA = """  camera:
@@ -211,7 +211,7 @@ def measured(share: float, seconds: float, folder: Path) -> Budget:
     command = [
         sys.executable,
         "-c",
-        "from stream.cli import main; main()",
+        "from kinegraph.stream.cli.main import main; main()",
         "run",
         "bedside.yaml",
         "-o",

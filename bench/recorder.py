@@ -10,10 +10,10 @@ import numpy as np
 
 from bench.report import Goal, Section, short
 from bench.work import CHANNELS, RATE_HZ, kernel_steps, samples
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.graph import RecordingOptions
-from stream.recording import Recorder
-from stream.stalls import calm
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder
+from kinegraph.stream.system.stalls import calm
 
 CHUNK = 10
 

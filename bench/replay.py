@@ -20,14 +20,14 @@ from statistics import median
 import numpy as np
 
 from bench.report import Goal, Section
-from devices.simulators.treadmill import Treadmill
-from stream.chunk import NS, Chunk
-from stream.engine.replay import Replay
-from stream.graph import RecordingOptions
-from stream.graph.load import load
-from stream.recording import Recorder, Recording
-from stream.recording.file_segments import FileSegments
-from stream.recording.format import COLUMNS, HEAD
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.engine.replay import Replay
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.recording import Recorder, Recording
+from kinegraph.stream.recording.format.layout import COLUMNS, HEAD
+from kinegraph.stream.recording.write.file_segments import FileSegments
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "configs" / "treadmill_emg.yaml"

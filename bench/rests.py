@@ -18,13 +18,13 @@ import numpy as np
 
 from bench.motion import RATE, before_camera, events, features, kinect, poses, regular, segment
 from bench.report import Section, marks, publish, whole
-from devices.simulators.exerciser import EXERCISES, Exerciser
-from operators.features.stack import Stack
-from operators.segmentation import Segment
-from operators.segmentation.evaluation.found import Found
-from operators.segmentation.evaluation.scores import TOLERANCE_S, score
-from operators.segmentation.evaluation.truth import read_truth
-from stream.chunk import NS, Array
+from kinegraph.devices.people.exerciser import EXERCISES, Exerciser
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation import Segment
+from kinegraph.operators.segmentation.evaluation.found import Found
+from kinegraph.operators.segmentation.evaluation.scores import TOLERANCE_S, score
+from kinegraph.operators.segmentation.evaluation.truth import read_truth
+from kinegraph.stream.chunk import NS, Array
 
 STILL_S = (0, 20, 60)
 NOISES = {

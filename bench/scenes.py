@@ -18,24 +18,24 @@ from numpy.typing import NDArray
 
 from bench.bedside import START, Run, true_states
 from bench.report import Section, marks, publish, whole
-from devices.simulators.bedside import Bedside
-from devices.simulators.night import EPOCH_S
-from operators.sleep.evaluation.agreement import Confusion
-from stream.chunk import NS, Array, Chunk
-from stream.graph.load import load_text
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States
-from stream.source import Feed
+from kinegraph.devices.people.bedside import Bedside
+from kinegraph.devices.people.night import EPOCH_S
+from kinegraph.operators.sleep.evaluation.agreement import Confusion
+from kinegraph.stream.chunk import NS, Array, Chunk
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE, States
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.source import Feed
 from tests.support.rendered_room import BED, CAMERA_M, RenderedRoom, Renderer, Scene, during
 
 GRAPH = """
 nodes:
-  camera: {use: devices.simulators.bedside.Bedside, width: 256, height: 192, fps: 2}
-  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
-  view: {use: operators.depth.view.View, from: simplify.blocks}
-  bed: {use: operators.depth.bed.BedRegion, from: {view: view, in: simplify.blocks}}
-  presence: {use: operators.depth.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
-  motion: {use: operators.depth.motion.Motion, from: {regions: bed, frames: simplify}}
-  activity: {use: operators.depth.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
+  camera: {use: devices.people.bedside.Bedside, width: 256, height: 192, fps: 2}
+  simplify: {use: operators.bed.frames.simplify.Simplify, from: camera.depth}
+  view: {use: operators.bed.frames.view.View, from: simplify.blocks}
+  bed: {use: operators.bed.bed.BedRegion, from: {view: view, in: simplify.blocks}}
+  presence: {use: operators.bed.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
+  motion: {use: operators.bed.motion.Motion, from: {regions: bed, frames: simplify}}
+  activity: {use: operators.bed.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
   scorer: {use: operators.sleep.scorer.SleepScorer, from: {in: activity, seen: activity.epochs}}
 """
 STIR_S = 4.0

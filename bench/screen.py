@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stream.graph.load import load
-from stream.graph.plan import plan
-from stream.plain import say
-from stream.recording import Recording
+from kinegraph.stream.graph.plan import plan
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.text.safe_text import say
 from tests.support.command_line import KINEGRAPH
 
 CONFIG = Path(__file__).parent.parent / "configs" / "treadmill_emg.yaml"

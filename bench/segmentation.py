@@ -22,15 +22,15 @@ from bench.report import Goal, Section, marks, publish, whole
 from bench.segmentation_speed import many_exemplars, speed
 from bench.sides import sides
 from bench.surrogates import surrogates
-from operators.emg.envelope import Envelope
-from operators.features.stack import Stack
-from operators.features.standardise import Standardise
-from operators.segmentation import Segment
-from operators.segmentation.evaluation.found import Found
-from operators.segmentation.evaluation.scores import Scores, boundary_f1, intervals, score
-from operators.segmentation.evaluation.truth import Truth, read_truth
-from stream.chunk import NS, Samples, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.features.standardise import Standardise
+from kinegraph.operators.segmentation import Segment
+from kinegraph.operators.segmentation.evaluation.found import Found
+from kinegraph.operators.segmentation.evaluation.scores import Scores, boundary_f1, intervals, score
+from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
+from kinegraph.stream.chunk import NS, Samples, StreamSpec
+from kinegraph.stream.operator import grid
 
 HOUSE = Path(__file__).resolve().parent.parent
 SHARES = np.arange(0.30, 0.62, 0.025).round(3)

@@ -16,15 +16,15 @@ import numpy as np
 from bench.engines import EngineError, environment
 from bench.motion import RATE, chunks
 from bench.report import Goal, Section
-from operators.features.bundle import Bundle
-from operators.features.stack import Stack
-from operators.segmentation import Segment
-from operators.segmentation.clusters import fit, keep, recognise
-from operators.segmentation.distances import insert
-from operators.segmentation.exemplars import candidates
-from operators.segmentation.layout import RADIUS
-from stream.chunk import Array, Chunk, StreamSpec
-from stream.operator import Operator, grid
+from kinegraph.operators.features.bundle import Bundle
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation import Segment
+from kinegraph.operators.segmentation.kernels.clusters import fit, keep, recognise
+from kinegraph.operators.segmentation.kernels.distances import insert
+from kinegraph.operators.segmentation.kernels.exemplars import candidates
+from kinegraph.operators.segmentation.kernels.layout import RADIUS
+from kinegraph.stream.chunk import Array, Chunk, StreamSpec
+from kinegraph.stream.operator import Operator, grid
 
 CHANNELS, WINDOW_S, FRAMES, CYCLE = 15, 600.0, 9000, 31
 """Channels, stacked to 75 features; the window that is filled before anything is timed; frames timed; frames of a cycle of the stream."""

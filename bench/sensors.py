@@ -18,16 +18,16 @@ from structlog.testing import capture_logs
 
 from bench.motion import RATE, Series, events
 from bench.report import Section, marks, publish, whole
-from operators.features.rest import SkipRest
-from operators.features.stack import Stack
-from operators.features.standardise import Standardise
-from operators.iir import Lowpass
-from operators.resample import Resample
-from operators.segmentation import Segment
-from stream.chunk import NS, Array, StreamSpec
-from stream.graph import Graph
-from stream.graph.load import load
-from stream.operator import Operator
+from kinegraph.operators.features.rest import SkipRest
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.features.standardise import Standardise
+from kinegraph.operators.filters.iir import Lowpass
+from kinegraph.operators.filters.resample import Resample
+from kinegraph.operators.segmentation import Segment
+from kinegraph.stream.chunk import NS, Array, StreamSpec
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.operator import Operator
 
 SHIPPED = "gyroscope (segment_imu, the graph's own nodes)"
 HOUSE = Path(__file__).resolve().parent.parent

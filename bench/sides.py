@@ -8,13 +8,13 @@ import numpy as np
 
 from bench.motion import RATE, Series, events, regular
 from bench.report import Goal, Section
-from operators.features.mirror import Mirror
-from operators.features.stack import Stack
-from operators.segmentation import Segment
-from operators.segmentation.evaluation.found import merged, second_steps
-from operators.segmentation.evaluation.truth import Truth, read_truth
-from stream.chunk import NS, Array, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.features.mirror import Mirror
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation import Segment
+from kinegraph.operators.segmentation.evaluation.found import merged, second_steps
+from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
+from kinegraph.stream.chunk import NS, Array, StreamSpec
+from kinegraph.stream.operator import grid
 
 POINTS = ("ankle_l", "ankle_r", "head", "wrist_l", "wrist_r")
 

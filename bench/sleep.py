@@ -21,10 +21,10 @@ import numpy as np
 from bench.bedside import START
 from bench.night import FPS, HEIGHT, NIGHT_FRAMES, WIDTH, apart, frames, whole_graph, whole_night
 from bench.report import Goal, Section, short, whole
-from operators.depth.change import change
-from operators.depth.simplify import Simplify
-from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.bed.frames.change import change
+from kinegraph.operators.bed.frames.simplify import Simplify
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 BLOCK = 8
 

@@ -27,10 +27,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bench.report import Section, short, whole
-from devices.protocols.cyton import uv_per_count
-from stream.chunk import Chunk, Specs
-from stream.clock import SessionClock
-from stream.operator import Operator
+from kinegraph.devices.cyton.protocol import uv_per_count
+from kinegraph.stream.chunk import Chunk, Specs
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.system.clock import SessionClock
 
 HOUSE = Path(__file__).resolve().parent.parent
 WARM_S = 3.0
@@ -43,27 +43,27 @@ SOURCES = {
     "Shimmer3, 204.8 Hz": "devices.shimmer.Shimmer, port: COM1, sensors: [emg]",
     "MTi, 100 Hz": "devices.mti.Mti, port: COM1",
     "Trigno, 2000 Hz": "devices.trigno.Trigno, port: tcp://127.0.0.1:50040, sensors: [{sensor: 1, name: TA}]",
-    "lines of text, 500 Hz": "devices.ascii_lines.AsciiLines, port: COM1, columns: [us, a, b], time: us, rate_hz: 500",
+    "lines of text, 500 Hz": "devices.lines.AsciiLines, port: COM1, columns: [us, a, b], time: us, rate_hz: 500",
     "declared frames (WT901), 100 Hz": "witmotion",
     "declared USB reports, 250 Hz": "dualsense",
     "Lab Streaming Layer, 2000 Hz": "lsl_emg",
     "OSC, 100 Hz, 25 ms read at once": f"devices.osc.OscInlet, streams: [{OSC}]",
     "OSC, 100 Hz, as it comes": f"devices.osc.OscInlet, gather_s: 0, streams: [{OSC}]",
-    "declared datagrams, 100 Hz, 25 ms read at once": f"devices.binary.Binary, port: 'udp://127.0.0.1:9000', frames: [{FRAME}]",
-    "declared datagrams, 100 Hz, as they come": f"devices.binary.Binary, port: 'udp://127.0.0.1:9000', gather_s: 0, frames: [{FRAME}]",
-    "Polar H10, ECG": "devices.ble.polar.Polar, device: Polar H10",
-    "Movella DOT": "devices.ble.dot.MovellaDot, device: Movella DOT",
-    "Ganglion, 200 Hz": "devices.ble.ganglion.Ganglion, device: Ganglion",
+    "declared datagrams, 100 Hz, 25 ms read at once": f"devices.frames.Binary, port: 'udp://127.0.0.1:9000', frames: [{FRAME}]",
+    "declared datagrams, 100 Hz, as they come": f"devices.frames.Binary, port: 'udp://127.0.0.1:9000', gather_s: 0, frames: [{FRAME}]",
+    "Polar H10, ECG": "devices.polar.Polar, device: Polar H10",
+    "Movella DOT": "devices.dot.MovellaDot, device: Movella DOT",
+    "Ganglion, 200 Hz": "devices.ganglion.Ganglion, device: Ganglion",
     "NatNet, 120 Hz": "devices.natnet.NatNet, bodies: [Shank]",
     "Qualisys, 100 Hz": "devices.qualisys.Qualisys, markers: [ankle, knee]",
-    "BrainFlow's synthetic board, 250 Hz": "devices.brainflow_board.BrainflowBoard, board: SYNTHETIC_BOARD",
+    "BrainFlow's synthetic board, 250 Hz": "devices.brainflow.BrainflowBoard, board: SYNTHETIC_BOARD",
 }
 """By label: a source, or the shipped graph whose first source it is."""
 
 BOARD = """
 import os, pty, select, sys, time, tty
-from devices.protocols.cyton import packet
-from devices.simulators.cyton import SimulatedCyton
+from kinegraph.devices.cyton.protocol import packet
+from kinegraph.devices.cyton.simulator import SimulatedCyton
 every = int(sys.argv[1])
 master, slave = pty.openpty()
 tty.setraw(slave)
@@ -205,7 +205,7 @@ def ours(port: str, seconds: float) -> tuple[list[int], list[int], float]:
 def one(label: str, seconds: float) -> dict[str, Any]:
     """A source by its label: ages (ns) of its newest samples after the warm-up, how many samples came, how many were lost."""
     from bench import sources as module
-    from stream.graph.load import load
+    from kinegraph.stream.graph.reading.load import load
 
     what = SOURCES[label]
     if what.startswith("devices."):
@@ -223,9 +223,9 @@ def one(label: str, seconds: float) -> dict[str, Any]:
 def _session(text: str, seconds: float, *, simulate: bool) -> dict[str, Any]:
     """The session's last table of metrics."""
     from bench import sources as module
-    from stream.commands.run import simulated
-    from stream.engine.session import Session
-    from stream.graph.load import load_text
+    from kinegraph.stream.cli.commands.run import simulated
+    from kinegraph.stream.engine.session import Session
+    from kinegraph.stream.graph.reading.load import load_text
 
     graph = load_text(text)
     with tempfile.TemporaryDirectory() as folder, simulated(graph) if simulate else _nothing():

@@ -1,4 +1,4 @@
-"""What the rules against Python's own stalls are worth (`stream/stalls.py`): the paced chain with each of them on and off.
+"""What the rules against Python's own stalls are worth (`stream/system/stalls.py`): the paced chain with each of them on and off.
 
 `python -m bench.stalls` prints a table of the latency from when a chunk's last sample is due to the sink, beside nothing, beside a thread
 that computes in Python without end, and beside one that makes garbage while a million objects are alive. Every row runs in a process of
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from bench.report import table
-from stream.stalls import FIRST_GENERATION, SWITCH_INTERVAL_S
+from kinegraph.stream.system.stalls import FIRST_GENERATION, SWITCH_INTERVAL_S
 
 ROOT = Path(__file__).resolve().parent.parent
 BESIDE = ("nothing", "busy", "garbage")
@@ -116,7 +116,7 @@ def _one(*, freeze: bool, first: int, switch_ms: float, nogil: bool, beside: str
     from bench.contenders.kinegraph_graph import Kinegraph
     from bench.work import RATE_HZ
     from bench.worker import SESSION, run
-    from stream import stalls
+    from kinegraph.stream.system import stalls
 
     structlog.configure(logger_factory=structlog.ReturnLoggerFactory())
     stalls.SWITCH_INTERVAL_S = switch_ms / 1000  # type: ignore[misc]
@@ -136,7 +136,7 @@ def _release_the_lock() -> None:
     """The chain's kernels, compiled so that they give up the lock."""
     import numba
 
-    from operators import decimate, iir, moving, rectify
+    from kinegraph.operators.filters import decimate, iir, moving, rectify
 
     for module, names in (
         (rectify, ["magnitudes"]),

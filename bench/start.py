@@ -43,7 +43,7 @@ def _start(folder: Path, i: int) -> float:
     command = [
         sys.executable,
         "-m",
-        "stream",
+        "kinegraph.stream",
         "run",
         str(config),
         "--out",
@@ -76,7 +76,15 @@ def _env() -> dict[str, str]:
 
 def _imports() -> str:
     """What `python -X importtime` says of the packages that weigh most, in ms."""
-    code = "import stream.cli, stream.commands.run, stream.engine.session, stream.graph.load, stream.graph.plan, stream.commands.console"
+    modules = (
+        "cli.main",
+        "cli.commands.run",
+        "engine.session",
+        "graph.reading.load",
+        "graph.plan",
+        "cli.commands.console",
+    )
+    code = "import " + ", ".join(f"kinegraph.stream.{module}" for module in modules)
     done = subprocess.run(
         [sys.executable, "-X", "importtime", "-c", code],
         cwd=ROOT,

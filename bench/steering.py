@@ -19,16 +19,16 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from bench.steering_peers import canonical, global_pca, skinning
-from operators.steering.choose import choose, regression_of
-from operators.steering.fit import Layout, Steering, fit_steering
-from operators.steering.operator import SteerMesh
-from operators.steering.parts import edges_of, near_rigid_parts
-from operators.steering.pose_parameters import POSES
-from operators.steering.regression import REGRESSIONS, learn
-from operators.steering.stored import KIND, to_arrays
-from stream.chunk import Array, Chunk, Samples, StreamSpec
-from stream.mesh import Topology
-from stream.model import write_model
+from kinegraph.operators.steering.model.choose import choose, regression_of
+from kinegraph.operators.steering.model.fit import Layout, Steering, fit_steering
+from kinegraph.operators.steering.model.parts import edges_of, near_rigid_parts
+from kinegraph.operators.steering.model.pose_parameters import POSES
+from kinegraph.operators.steering.model.regression import REGRESSIONS, learn
+from kinegraph.operators.steering.model.stored import KIND, to_arrays
+from kinegraph.operators.steering.operator import SteerMesh
+from kinegraph.stream.chunk import Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.data.model_file import write_model
+from kinegraph.stream.domain.mesh import Topology
 
 REFERENCE = ("withers", "croup")
 PARTS = 14

@@ -15,16 +15,16 @@ import numpy as np
 
 from bench.pose import sequences
 from bench.steering import HOOVES, markers_of
-from operators.steering.actors import Actors
-from operators.steering.adapt import PAIRINGS, RANGES, Pairing, Ranges, about, adapt
-from operators.steering.choose import regression_of
-from operators.steering.fit import Steering, fit_steering, headings, turned
-from operators.steering.pose_parameters import MarkerGraph
-from stream.chunk import Array, Chunk, Samples, StreamSpec
-from stream.humanoid import BONES, PARENTS
-from stream.joint_tree import JointTree, joints_of
-from stream.model import write_model
-from stream.operator import grid
+from kinegraph.operators.steering.actors import Actors
+from kinegraph.operators.steering.model.adapt import PAIRINGS, RANGES, Pairing, Ranges, about, adapt
+from kinegraph.operators.steering.model.choose import regression_of
+from kinegraph.operators.steering.model.fit import Steering, fit_steering, headings, turned
+from kinegraph.operators.steering.model.pose_parameters import MarkerGraph
+from kinegraph.stream.chunk import Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.data.model_file import write_model
+from kinegraph.stream.domain.humanoid import BONES, PARENTS
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.operator import grid
 
 MARKERS = (*HOOVES, "nose", "withers", "croup")
 REFERENCE, HEADING = ("withers", "croup"), ("croup", "withers")
@@ -228,8 +228,8 @@ def main() -> None:
 
 
 def saved(model: Steering, count: int, faces: Array, folder: Path) -> None:
-    from operators.steering.stored import KIND, to_arrays
-    from stream.mesh import Topology
+    from kinegraph.operators.steering.model.stored import KIND, to_arrays
+    from kinegraph.stream.domain.mesh import Topology
 
     header, arrays = to_arrays(model, Topology(count, faces.astype(np.int32), "horse"), HOOVES)
     write_model(folder / "horse.npz", KIND, header, arrays)

@@ -19,8 +19,8 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from bench.steering import REFERENCE, markers_of, spread_markers
-from operators.steering.local import fit_local
-from stream.chunk import Array, Samples, Times
+from kinegraph.operators.steering.model.local import fit_local
+from kinegraph.stream.chunk import Array, Samples, Times
 
 WIDTHS, RIDGES, REACHES = (1.0, 2.0, 4.0), (1e-3, 1e-2), (0.1, 0.2, 0.4)
 FOLDS, MARKED = 4, 100.0

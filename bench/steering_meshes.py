@@ -17,10 +17,10 @@ import numpy as np
 from bench.body_render import studio
 from bench.steering import PARTS, REFERENCE, markers_of, spread_markers
 from bench.steering_peers import components, global_pca, skinning
-from devices.simulators.quadruped import marked, topology, walking
-from operators.steering.choose import choose
-from operators.steering.parts import edges_of, near_rigid_parts
-from stream.chunk import Array, Samples
+from kinegraph.devices.people.quadruped import marked, topology, walking
+from kinegraph.operators.steering.model.choose import choose
+from kinegraph.operators.steering.model.parts import edges_of, near_rigid_parts
+from kinegraph.stream.chunk import Array, Samples
 
 HUMANS = {"human male": ("male", "13_29"), "human female": ("female", "01_02")}
 

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import nnls
 
-from operators.steering.regression import squares
-from operators.steering.turns import matrix, rigid
-from stream.chunk import Samples, Times
+from kinegraph.operators.steering.model.regression import squares
+from kinegraph.operators.steering.model.turns import matrix, rigid
+from kinegraph.stream.chunk import Samples, Times
 
 Peer = Callable[[Samples, Samples, Samples], Samples]
 RIDGES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from operators.steps.commands.validation import SETS, Labelled, leave_out
-from operators.steps.step_kernel import chosen
-from stream.plain import say
+from kinegraph.operators.steps.commands.validation import SETS, Labelled, leave_out
+from kinegraph.operators.steps.step_kernel import chosen
+from kinegraph.stream.text.safe_text import say
 
 SEEDS = (1, 2, 3)
 TREES = 60

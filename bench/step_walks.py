@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter
 
-from operators.steps.activity import STANDING, TURNING, WALKING, StepActivity
-from operators.steps.step_detection import (
+from kinegraph.operators.steps.activity import STANDING, TURNING, WALKING, StepActivity
+from kinegraph.operators.steps.step_detection import (
     APART_S,
     CUTOFF_HZ,
     LEAST_M_S2,
@@ -24,10 +24,10 @@ from operators.steps.step_detection import (
     fresh_track,
     rule_of,
 )
-from operators.steps.steps import LATE_NS, Steps
-from stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times
-from stream.engine.merge import Merge
-from stream.plain import say
+from kinegraph.operators.steps.steps import LATE_NS, Steps
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times
+from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.text.safe_text import say
 
 TOLERANCE_S = 0.25
 STANDING_S = 1.0

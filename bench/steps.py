@@ -13,13 +13,13 @@ import numpy as np
 
 from bench.step_votes import votes
 from bench.step_walks import SPEC, activities, detection, folder, lengths, lower_back, neighbours
-from operators.steps.commands.enrolment import enrolment
-from operators.steps.commands.recordings import grouped
-from operators.steps.commands.train import show_enrolment, show_trust
-from operators.steps.commands.validation import SETS, Labelled, trust
-from operators.steps.steps import Steps
-from stream.chunk import NS, Array, Chunk, Samples, Times
-from stream.plain import say
+from kinegraph.operators.steps.commands.enrolment import enrolment
+from kinegraph.operators.steps.commands.recordings import grouped
+from kinegraph.operators.steps.commands.train import show_enrolment, show_trust
+from kinegraph.operators.steps.commands.validation import SETS, Labelled, trust
+from kinegraph.operators.steps.steps import Steps
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Times
+from kinegraph.stream.text.safe_text import say
 
 
 def foot() -> Iterator[tuple[str, str, Times, Samples, dict[str, str]]]:

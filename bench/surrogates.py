@@ -9,9 +9,9 @@ import numpy as np
 
 from bench.motion import RATE, events, kinect, poses, regular
 from bench.report import Section
-from operators.features.stack import Stack
-from operators.segmentation import Segment
-from stream.chunk import Array
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation import Segment
+from kinegraph.stream.chunk import Array
 
 PIECE_S = 0.5
 

@@ -17,11 +17,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.signal import butter, lfilter, sosfilt
 
-from operators.decimate import thin_out
-from operators.iir import late_sections, sections
-from operators.moving import moving_mean
-from operators.rectify import magnitudes
-from stream.chunk import Samples, Times
+from kinegraph.operators.filters.decimate import thin_out
+from kinegraph.operators.filters.iir import late_sections, sections
+from kinegraph.operators.filters.moving import moving_mean
+from kinegraph.operators.filters.rectify import magnitudes
+from kinegraph.stream.chunk import Samples, Times
 
 CHANNELS = 16
 RATE_HZ = 2000

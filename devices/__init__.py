@@ -2,72 +2,74 @@
 
 from typing import TYPE_CHECKING
 
-from stream.lazy import offered
+from kinegraph.stream.system.lazy import offered
+
+if __name__ != "kinegraph.devices":
+    raise ImportError("import kinegraph.devices: this folder is a part of the package kinegraph")
 
 if TYPE_CHECKING:
-    from devices.alarms import Alarms
-    from devices.analog.labjack import LabJack
-    from devices.analog.nidaq import NiDaq
-    from devices.ascii_lines import AsciiLines
-    from devices.binary import Binary
-    from devices.bitalino import Bitalino
-    from devices.ble.dot import MovellaDot
-    from devices.ble.ganglion import Ganglion
-    from devices.ble.heart_rate import HeartRate
-    from devices.ble.polar import Polar
-    from devices.ble.treadmill import FtmsTreadmill
-    from devices.ble.treadmill_control import TreadmillControl
-    from devices.brainflow_board import BrainflowBoard
-    from devices.cameras.depth_camera import DepthCamera
-    from devices.cameras.kinect import AzureKinect
-    from devices.cameras.orbbec import Orbbec
-    from devices.cameras.realsense import RealSense
-    from devices.cyton import Cyton
-    from devices.files.depth_clip import DepthClip
-    from devices.files.depthai_replay import DepthaiReplay
-    from devices.files.recorded_streams import RecordedStreams
-    from devices.lsl import LslInlet
-    from devices.mqtt import MqttSwitch
-    from devices.mti import Mti
-    from devices.natnet import NatNet
-    from devices.oak import Oak
-    from devices.osc import OscInlet
-    from devices.outlets.bvh_file import BvhFile
-    from devices.outlets.csv_file import CsvFile
-    from devices.outlets.cycle_table import CycleTable
-    from devices.outlets.exercise_panel import ExercisePanel
-    from devices.outlets.lsl import LslOutlet
-    from devices.outlets.mqtt import MqttOutlet
-    from devices.outlets.night import NightLog
-    from devices.outlets.osc import OscOutlet
-    from devices.outlets.osc_points import OscPoints
-    from devices.outlets.prompt_panel import PromptPanel
-    from devices.outlets.report import SessionReport
-    from devices.outlets.session_end import SessionEnd
-    from devices.outlets.step_panel import StepPanel
-    from devices.outlets.training import TrainingReport
-    from devices.outlets.trigger import TriggerOutlet
-    from devices.outlets.vmc import VmcOutlet
-    from devices.outlets.vrchat import VrchatTrackers
-    from devices.past_nights import PastNights
-    from devices.pose_map.answers import PoseAnswers
-    from devices.pose_map.queries import PoseQueries
-    from devices.qualisys import Qualisys
-    from devices.shimmer import Shimmer
-    from devices.simulators.actigraph import Actigraph
-    from devices.simulators.back_walker import BackWalker
-    from devices.simulators.bedside import Bedside
-    from devices.simulators.before_camera import BeforeCamera
-    from devices.simulators.exerciser import Exerciser
-    from devices.simulators.oak import SimulatedOak
-    from devices.simulators.performer import Performer
-    from devices.simulators.quadruped import Quadruped, TwoActors
-    from devices.simulators.treadmill import Treadmill
-    from devices.simulators.walkway import Walkway
-    from devices.synthesis.source import Synthesis
-    from devices.trigno import Trigno
-    from devices.usb.endpoint import Endpoint
-    from devices.vmc import Vmc
+    from kinegraph.devices.analog.labjack import LabJack
+    from kinegraph.devices.analog.nidaq import NiDaq
+    from kinegraph.devices.bitalino.source import Bitalino
+    from kinegraph.devices.brainflow.source import BrainflowBoard
+    from kinegraph.devices.cameras.depth_camera import DepthCamera
+    from kinegraph.devices.cameras.kinect import AzureKinect
+    from kinegraph.devices.cameras.orbbec import Orbbec
+    from kinegraph.devices.cameras.realsense import RealSense
+    from kinegraph.devices.cyton.source import Cyton
+    from kinegraph.devices.dot.source import MovellaDot
+    from kinegraph.devices.fitness_treadmill.control import TreadmillControl
+    from kinegraph.devices.fitness_treadmill.source import FtmsTreadmill
+    from kinegraph.devices.frames.source import Binary
+    from kinegraph.devices.ganglion.source import Ganglion
+    from kinegraph.devices.heart_rate.source import HeartRate
+    from kinegraph.devices.lines.source import AsciiLines
+    from kinegraph.devices.lsl import LslInlet
+    from kinegraph.devices.lsl.outlet import LslOutlet
+    from kinegraph.devices.mqtt import MqttOutlet, MqttSwitch
+    from kinegraph.devices.mti.back_walker import BackWalker
+    from kinegraph.devices.mti.source import Mti
+    from kinegraph.devices.natnet.source import NatNet
+    from kinegraph.devices.oak import Oak
+    from kinegraph.devices.oak.simulator import SimulatedOak
+    from kinegraph.devices.osc.inlet import OscInlet
+    from kinegraph.devices.osc.outlet import OscOutlet
+    from kinegraph.devices.osc.points import OscPoints
+    from kinegraph.devices.osc.vmc_inlet import Vmc
+    from kinegraph.devices.osc.vmc_outlet import VmcOutlet
+    from kinegraph.devices.osc.vrchat import VrchatTrackers
+    from kinegraph.devices.outlets.bvh_file import BvhFile
+    from kinegraph.devices.outlets.csv_file import CsvFile
+    from kinegraph.devices.outlets.session_end import SessionEnd
+    from kinegraph.devices.outlets.terminal.alarms import Alarms
+    from kinegraph.devices.outlets.terminal.cycle_table import CycleTable
+    from kinegraph.devices.outlets.terminal.exercise_panel import ExercisePanel
+    from kinegraph.devices.outlets.terminal.prompt_panel import PromptPanel
+    from kinegraph.devices.outlets.terminal.step_panel import StepPanel
+    from kinegraph.devices.outlets.trigger.outlet import TriggerOutlet
+    from kinegraph.devices.page.map.answers import PoseAnswers
+    from kinegraph.devices.page.map.queries import PoseQueries
+    from kinegraph.devices.people.actigraph import Actigraph
+    from kinegraph.devices.people.bedside import Bedside
+    from kinegraph.devices.people.before_camera import BeforeCamera
+    from kinegraph.devices.people.exerciser import Exerciser
+    from kinegraph.devices.people.performer import Performer
+    from kinegraph.devices.people.quadruped import Quadruped, TwoActors
+    from kinegraph.devices.people.treadmill import Treadmill
+    from kinegraph.devices.people.walkway import Walkway
+    from kinegraph.devices.polar.source import Polar
+    from kinegraph.devices.qualisys.source import Qualisys
+    from kinegraph.devices.recorded.depth_clip import DepthClip
+    from kinegraph.devices.recorded.depthai_replay import DepthaiReplay
+    from kinegraph.devices.recorded.recorded_streams import RecordedStreams
+    from kinegraph.devices.reports.night import NightLog
+    from kinegraph.devices.reports.night.past_nights import PastNights
+    from kinegraph.devices.reports.session import SessionReport
+    from kinegraph.devices.reports.training import TrainingReport
+    from kinegraph.devices.shimmer.source import Shimmer
+    from kinegraph.devices.synthesis.source import Synthesis
+    from kinegraph.devices.trigno.source import Trigno
+    from kinegraph.devices.usb.endpoint import Endpoint
 
 __all__ = [
     "Actigraph",
@@ -139,69 +141,69 @@ __all__ = [
 __getattr__, __dir__ = offered(
     __name__,
     {
-        "Actigraph": "devices.simulators.actigraph",
-        "Alarms": "devices.alarms",
-        "AsciiLines": "devices.ascii_lines",
-        "AzureKinect": "devices.cameras.kinect",
-        "BackWalker": "devices.simulators.back_walker",
-        "Bedside": "devices.simulators.bedside",
-        "BeforeCamera": "devices.simulators.before_camera",
-        "Binary": "devices.binary",
-        "Bitalino": "devices.bitalino",
-        "BrainflowBoard": "devices.brainflow_board",
-        "BvhFile": "devices.outlets.bvh_file",
-        "CsvFile": "devices.outlets.csv_file",
-        "CycleTable": "devices.outlets.cycle_table",
-        "Cyton": "devices.cyton",
-        "DepthCamera": "devices.cameras.depth_camera",
-        "DepthClip": "devices.files.depth_clip",
-        "DepthaiReplay": "devices.files.depthai_replay",
-        "Endpoint": "devices.usb.endpoint",
-        "ExercisePanel": "devices.outlets.exercise_panel",
-        "Exerciser": "devices.simulators.exerciser",
-        "FtmsTreadmill": "devices.ble.treadmill",
-        "Ganglion": "devices.ble.ganglion",
-        "HeartRate": "devices.ble.heart_rate",
-        "LabJack": "devices.analog.labjack",
-        "LslInlet": "devices.lsl",
-        "LslOutlet": "devices.outlets.lsl",
-        "MovellaDot": "devices.ble.dot",
-        "MqttOutlet": "devices.outlets.mqtt",
-        "MqttSwitch": "devices.mqtt",
-        "Mti": "devices.mti",
-        "NatNet": "devices.natnet",
-        "NiDaq": "devices.analog.nidaq",
-        "NightLog": "devices.outlets.night",
-        "Oak": "devices.oak",
-        "Orbbec": "devices.cameras.orbbec",
-        "OscInlet": "devices.osc",
-        "OscOutlet": "devices.outlets.osc",
-        "OscPoints": "devices.outlets.osc_points",
-        "PastNights": "devices.past_nights",
-        "Performer": "devices.simulators.performer",
-        "Polar": "devices.ble.polar",
-        "PoseAnswers": "devices.pose_map.answers",
-        "PoseQueries": "devices.pose_map.queries",
-        "PromptPanel": "devices.outlets.prompt_panel",
-        "Quadruped": "devices.simulators.quadruped",
-        "Qualisys": "devices.qualisys",
-        "RealSense": "devices.cameras.realsense",
-        "RecordedStreams": "devices.files.recorded_streams",
-        "SessionEnd": "devices.outlets.session_end",
-        "SessionReport": "devices.outlets.report",
-        "Shimmer": "devices.shimmer",
-        "SimulatedOak": "devices.simulators.oak",
-        "StepPanel": "devices.outlets.step_panel",
-        "Synthesis": "devices.synthesis.source",
-        "TrainingReport": "devices.outlets.training",
-        "Treadmill": "devices.simulators.treadmill",
-        "TreadmillControl": "devices.ble.treadmill_control",
-        "TriggerOutlet": "devices.outlets.trigger",
-        "Trigno": "devices.trigno",
-        "TwoActors": "devices.simulators.quadruped",
-        "Vmc": "devices.vmc",
-        "VmcOutlet": "devices.outlets.vmc",
-        "VrchatTrackers": "devices.outlets.vrchat",
-        "Walkway": "devices.simulators.walkway",
+        "Actigraph": "kinegraph.devices.people.actigraph",
+        "Alarms": "kinegraph.devices.outlets.terminal.alarms",
+        "AsciiLines": "kinegraph.devices.lines.source",
+        "AzureKinect": "kinegraph.devices.cameras.kinect",
+        "BackWalker": "kinegraph.devices.mti.back_walker",
+        "Bedside": "kinegraph.devices.people.bedside",
+        "BeforeCamera": "kinegraph.devices.people.before_camera",
+        "Binary": "kinegraph.devices.frames.source",
+        "Bitalino": "kinegraph.devices.bitalino.source",
+        "BrainflowBoard": "kinegraph.devices.brainflow.source",
+        "BvhFile": "kinegraph.devices.outlets.bvh_file",
+        "CsvFile": "kinegraph.devices.outlets.csv_file",
+        "CycleTable": "kinegraph.devices.outlets.terminal.cycle_table",
+        "Cyton": "kinegraph.devices.cyton.source",
+        "DepthCamera": "kinegraph.devices.cameras.depth_camera",
+        "DepthClip": "kinegraph.devices.recorded.depth_clip",
+        "DepthaiReplay": "kinegraph.devices.recorded.depthai_replay",
+        "Endpoint": "kinegraph.devices.usb.endpoint",
+        "ExercisePanel": "kinegraph.devices.outlets.terminal.exercise_panel",
+        "Exerciser": "kinegraph.devices.people.exerciser",
+        "FtmsTreadmill": "kinegraph.devices.fitness_treadmill.source",
+        "Ganglion": "kinegraph.devices.ganglion.source",
+        "HeartRate": "kinegraph.devices.heart_rate.source",
+        "LabJack": "kinegraph.devices.analog.labjack",
+        "LslInlet": "kinegraph.devices.lsl",
+        "LslOutlet": "kinegraph.devices.lsl.outlet",
+        "MovellaDot": "kinegraph.devices.dot.source",
+        "MqttOutlet": "kinegraph.devices.mqtt",
+        "MqttSwitch": "kinegraph.devices.mqtt",
+        "Mti": "kinegraph.devices.mti.source",
+        "NatNet": "kinegraph.devices.natnet.source",
+        "NiDaq": "kinegraph.devices.analog.nidaq",
+        "NightLog": "kinegraph.devices.reports.night",
+        "Oak": "kinegraph.devices.oak",
+        "Orbbec": "kinegraph.devices.cameras.orbbec",
+        "OscInlet": "kinegraph.devices.osc.inlet",
+        "OscOutlet": "kinegraph.devices.osc.outlet",
+        "OscPoints": "kinegraph.devices.osc.points",
+        "PastNights": "kinegraph.devices.reports.night.past_nights",
+        "Performer": "kinegraph.devices.people.performer",
+        "Polar": "kinegraph.devices.polar.source",
+        "PoseAnswers": "kinegraph.devices.page.map.answers",
+        "PoseQueries": "kinegraph.devices.page.map.queries",
+        "PromptPanel": "kinegraph.devices.outlets.terminal.prompt_panel",
+        "Quadruped": "kinegraph.devices.people.quadruped",
+        "Qualisys": "kinegraph.devices.qualisys.source",
+        "RealSense": "kinegraph.devices.cameras.realsense",
+        "RecordedStreams": "kinegraph.devices.recorded.recorded_streams",
+        "SessionEnd": "kinegraph.devices.outlets.session_end",
+        "SessionReport": "kinegraph.devices.reports.session",
+        "Shimmer": "kinegraph.devices.shimmer.source",
+        "SimulatedOak": "kinegraph.devices.oak.simulator",
+        "StepPanel": "kinegraph.devices.outlets.terminal.step_panel",
+        "Synthesis": "kinegraph.devices.synthesis.source",
+        "TrainingReport": "kinegraph.devices.reports.training",
+        "Treadmill": "kinegraph.devices.people.treadmill",
+        "TreadmillControl": "kinegraph.devices.fitness_treadmill.control",
+        "TriggerOutlet": "kinegraph.devices.outlets.trigger.outlet",
+        "Trigno": "kinegraph.devices.trigno.source",
+        "TwoActors": "kinegraph.devices.people.quadruped",
+        "Vmc": "kinegraph.devices.osc.vmc_inlet",
+        "VmcOutlet": "kinegraph.devices.osc.vmc_outlet",
+        "VrchatTrackers": "kinegraph.devices.osc.vrchat",
+        "Walkway": "kinegraph.devices.people.walkway",
     },
 )

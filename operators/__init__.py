@@ -2,107 +2,110 @@
 
 from typing import TYPE_CHECKING
 
-from stream.lazy import offered
+from kinegraph.stream.system.lazy import offered
+
+if __name__ != "kinegraph.operators":
+    raise ImportError("import kinegraph.operators: this folder is a part of the package kinegraph")
 
 if TYPE_CHECKING:
-    from operators.align import Align
-    from operators.arithmetic import Arithmetic
-    from operators.body.background import Background
-    from operators.body.extrema import Extrema
-    from operators.body.markers import Markers
-    from operators.body.persons import Persons
-    from operators.body.pose_network import PoseNetwork
-    from operators.body.relief import Relief
-    from operators.body.surer import Surer
-    from operators.channels import Select
-    from operators.decimate import Decimate
-    from operators.depth.activity import Activity
-    from operators.depth.bed import BedRegion
-    from operators.depth.breathing import Breathing
-    from operators.depth.motion import Motion
-    from operators.depth.night_map import NightMap
-    from operators.depth.presence import Presence
-    from operators.depth.region import RegionDepth
-    from operators.depth.simplify import Simplify
-    from operators.depth.view import View
-    from operators.derivative import Derivative
-    from operators.emg import Envelope
-    from operators.emg.channel_watch import ChannelWatch
-    from operators.emg.electrode_watch import ElectrodeWatch
-    from operators.emg.median_frequency import MedianFrequency
-    from operators.emg.mixture_drift import MixtureDrift
-    from operators.emg.mixtures import PeakMixtures
-    from operators.emg.normalise import Normalise
-    from operators.emg.quality import SignalQuality
-    from operators.extremes import MovingMax, MovingMin
-    from operators.features.bundle import Bundle
-    from operators.features.mirror import Mirror
-    from operators.features.normalised_pose import NormalisedPose
-    from operators.features.pose import Pose
-    from operators.features.rest import SkipRest
-    from operators.features.self_similarity import SelfSimilarity
-    from operators.features.stack import Stack
-    from operators.features.standardise import Standardise
-    from operators.features.weigh import Weigh
-    from operators.force_plate import ForcePlate
-    from operators.gait.acceleration import AccelerationContacts
-    from operators.gait.bursts import CycleBursts
-    from operators.gait.cycle_targets import CycleTargets
-    from operators.gait.cycle_watch import CycleWatch
-    from operators.gait.cycles import Cycles
-    from operators.gait.ensemble import CycleEnsemble
-    from operators.gait.footfalls import Footfalls
-    from operators.gait.force import ForceContacts, SwitchContacts
-    from operators.gait.inertial import InertialContacts
-    from operators.gait.leg_contacts import LegContacts
-    from operators.gait.limb_contacts import LimbContacts
-    from operators.gait.limb_cycles import LimbCycles
-    from operators.gait.limb_watch import LimbWatch
-    from operators.gait.marker import MarkerContacts
-    from operators.gait.marker_watch import MarkerWatch
-    from operators.gait.norms import NormativeBands
-    from operators.gait.pattern_watch import PatternWatch
-    from operators.gait.review import CycleReview
-    from operators.gait.stage_curves import StageCurves
-    from operators.gait.stages import Stages
-    from operators.gait.statistics import CycleStatistics
-    from operators.gait.stride_shape import StrideShape
-    from operators.gait.symmetry import LimbSymmetry
-    from operators.gait.timing_watch import TimingWatch
-    from operators.gaps import FillGaps
-    from operators.gate import Gate
-    from operators.iir import Bandpass, Highpass, Lowpass, Notch
-    from operators.mean import RemoveMean
-    from operators.motion_graph.growing import GrowingGraph
-    from operators.motion_map import MotionMap
-    from operators.moving import MovingMean, MovingRms
-    from operators.neighbours import Neighbours
-    from operators.one_euro import OneEuro
-    from operators.pause import Pause
-    from operators.pose_map.retrieve import Retrieve
-    from operators.pose_map.som import PoseGrid
-    from operators.predict import Predict
-    from operators.rectify import Rectify
-    from operators.resample import Resample
-    from operators.scale import Scale
-    from operators.segmentation import Segment
-    from operators.segmentation.naming import NameRepetitions
-    from operators.sleep.epochs import Epochs
-    from operators.sleep.gentle_alarm import GentleAlarm
-    from operators.sleep.nights import Nights
-    from operators.sleep.periods import SleepPeriods
-    from operators.sleep.scorer import SleepScorer
-    from operators.sleep.statistics import SleepStatistics
-    from operators.smooth import Binomial
-    from operators.steering.actors import Actors
-    from operators.steering.operator import SteerMesh
-    from operators.steps.activity import StepActivity
-    from operators.steps.classifier import StepClassifier
-    from operators.steps.steps import Steps
-    from operators.threshold import Threshold
-    from operators.turn_axes import TurnAxes
-    from operators.whole_pose.footing import Footing
-    from operators.whole_pose.operator import WholePose
+    from kinegraph.operators.bed.activity import Activity
+    from kinegraph.operators.bed.bed import BedRegion
+    from kinegraph.operators.bed.breathing import Breathing
+    from kinegraph.operators.bed.frames.region import RegionDepth
+    from kinegraph.operators.bed.frames.simplify import Simplify
+    from kinegraph.operators.bed.frames.view import View
+    from kinegraph.operators.bed.motion import Motion
+    from kinegraph.operators.bed.night_map import NightMap
+    from kinegraph.operators.bed.presence import Presence
+    from kinegraph.operators.body.background import Background
+    from kinegraph.operators.body.extrema import Extrema
+    from kinegraph.operators.body.marker_fusion import Surer
+    from kinegraph.operators.body.markers import Markers
+    from kinegraph.operators.body.network.operator import PoseNetwork
+    from kinegraph.operators.body.network.relief import Relief
+    from kinegraph.operators.body.persons import Persons
+    from kinegraph.operators.contacts.acceleration import AccelerationContacts
+    from kinegraph.operators.contacts.force import ForceContacts, SwitchContacts
+    from kinegraph.operators.contacts.force_plate import ForcePlate
+    from kinegraph.operators.contacts.inertial import InertialContacts
+    from kinegraph.operators.contacts.leg_contacts import LegContacts
+    from kinegraph.operators.contacts.limb_contacts import LimbContacts
+    from kinegraph.operators.contacts.marker import MarkerContacts
+    from kinegraph.operators.cycles.cycles import Cycles
+    from kinegraph.operators.cycles.limb_cycles import LimbCycles
+    from kinegraph.operators.cycles.review import CycleReview
+    from kinegraph.operators.cycles.stages import Stages
+    from kinegraph.operators.cycles.statistics.bursts import CycleBursts
+    from kinegraph.operators.cycles.statistics.cycle_targets import CycleTargets
+    from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
+    from kinegraph.operators.cycles.statistics.median_frequency import MedianFrequency
+    from kinegraph.operators.cycles.statistics.norms import NormativeBands
+    from kinegraph.operators.cycles.statistics.operator import CycleStatistics
+    from kinegraph.operators.cycles.statistics.stage_curves import StageCurves
+    from kinegraph.operators.cycles.statistics.symmetry import LimbSymmetry
+    from kinegraph.operators.emg import Envelope
+    from kinegraph.operators.emg.mixtures.drift import MixtureDrift
+    from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+    from kinegraph.operators.emg.normalise import Normalise
+    from kinegraph.operators.emg.quality import SignalQuality
+    from kinegraph.operators.features.bundle import Bundle
+    from kinegraph.operators.features.mirror import Mirror
+    from kinegraph.operators.features.normalised_pose import NormalisedPose
+    from kinegraph.operators.features.pose import Pose
+    from kinegraph.operators.features.rest import SkipRest
+    from kinegraph.operators.features.self_similarity import SelfSimilarity
+    from kinegraph.operators.features.stack import Stack
+    from kinegraph.operators.features.standardise import Standardise
+    from kinegraph.operators.features.weigh import Weigh
+    from kinegraph.operators.filters.arithmetic import Arithmetic
+    from kinegraph.operators.filters.channels import Select
+    from kinegraph.operators.filters.decimate import Decimate
+    from kinegraph.operators.filters.derivative import Derivative
+    from kinegraph.operators.filters.extremes import MovingMax, MovingMin
+    from kinegraph.operators.filters.gaps import FillGaps
+    from kinegraph.operators.filters.iir import Bandpass, Highpass, Lowpass, Notch
+    from kinegraph.operators.filters.mean import RemoveMean
+    from kinegraph.operators.filters.moving import MovingMean, MovingRms
+    from kinegraph.operators.filters.one_euro import OneEuro
+    from kinegraph.operators.filters.predict import Predict
+    from kinegraph.operators.filters.rectify import Rectify
+    from kinegraph.operators.filters.resample import Resample
+    from kinegraph.operators.filters.scale import Scale
+    from kinegraph.operators.filters.smooth import Binomial
+    from kinegraph.operators.filters.threshold import Threshold
+    from kinegraph.operators.filters.turn_axes import TurnAxes
+    from kinegraph.operators.maps.motion_graph.growing import GrowingGraph
+    from kinegraph.operators.maps.motion_map import MotionMap
+    from kinegraph.operators.maps.pose_map.retrieve import Retrieve
+    from kinegraph.operators.maps.pose_map.som import PoseGrid
+    from kinegraph.operators.monitors.channel_watch import ChannelWatch
+    from kinegraph.operators.monitors.cycle_watch import CycleWatch
+    from kinegraph.operators.monitors.electrode_watch import ElectrodeWatch
+    from kinegraph.operators.monitors.limb_watch import LimbWatch
+    from kinegraph.operators.monitors.marker_watch import MarkerWatch
+    from kinegraph.operators.monitors.pattern_watch import PatternWatch
+    from kinegraph.operators.monitors.timing_watch import TimingWatch
+    from kinegraph.operators.neighbours import Neighbours
+    from kinegraph.operators.pose.footing import Footing
+    from kinegraph.operators.pose.operator import WholePose
+    from kinegraph.operators.segmentation import Segment
+    from kinegraph.operators.segmentation.names.naming import NameRepetitions
+    from kinegraph.operators.sleep.epochs import Epochs
+    from kinegraph.operators.sleep.gentle_alarm import GentleAlarm
+    from kinegraph.operators.sleep.nights import Nights
+    from kinegraph.operators.sleep.periods import SleepPeriods
+    from kinegraph.operators.sleep.scorer import SleepScorer
+    from kinegraph.operators.sleep.statistics import SleepStatistics
+    from kinegraph.operators.steering.actors import Actors
+    from kinegraph.operators.steering.operator import SteerMesh
+    from kinegraph.operators.steps.activity import StepActivity
+    from kinegraph.operators.steps.classifier import StepClassifier
+    from kinegraph.operators.steps.steps import Steps
+    from kinegraph.operators.strides.footfalls import Footfalls
+    from kinegraph.operators.strides.stride_shape import StrideShape
+    from kinegraph.operators.timing.align import Align
+    from kinegraph.operators.timing.gate import Gate
+    from kinegraph.operators.timing.pause import Pause
 
 __all__ = [
     "AccelerationContacts",
@@ -214,109 +217,109 @@ __all__ = [
 __getattr__, __dir__ = offered(
     __name__,
     {
-        "AccelerationContacts": "operators.gait.acceleration",
-        "Activity": "operators.depth.activity",
-        "Actors": "operators.steering.actors",
-        "Align": "operators.align",
-        "Arithmetic": "operators.arithmetic",
-        "Background": "operators.body.background",
-        "Bandpass": "operators.iir",
-        "BedRegion": "operators.depth.bed",
-        "Binomial": "operators.smooth",
-        "Breathing": "operators.depth.breathing",
-        "Bundle": "operators.features.bundle",
-        "ChannelWatch": "operators.emg.channel_watch",
-        "CycleBursts": "operators.gait.bursts",
-        "CycleEnsemble": "operators.gait.ensemble",
-        "CycleReview": "operators.gait.review",
-        "CycleStatistics": "operators.gait.statistics",
-        "CycleTargets": "operators.gait.cycle_targets",
-        "CycleWatch": "operators.gait.cycle_watch",
-        "Cycles": "operators.gait.cycles",
-        "Decimate": "operators.decimate",
-        "Derivative": "operators.derivative",
-        "ElectrodeWatch": "operators.emg.electrode_watch",
-        "Envelope": "operators.emg",
-        "Epochs": "operators.sleep.epochs",
-        "Extrema": "operators.body.extrema",
-        "FillGaps": "operators.gaps",
-        "Footfalls": "operators.gait.footfalls",
-        "Footing": "operators.whole_pose.footing",
-        "ForceContacts": "operators.gait.force",
-        "ForcePlate": "operators.force_plate",
-        "Gate": "operators.gate",
-        "GentleAlarm": "operators.sleep.gentle_alarm",
-        "GrowingGraph": "operators.motion_graph.growing",
-        "Highpass": "operators.iir",
-        "InertialContacts": "operators.gait.inertial",
-        "LegContacts": "operators.gait.leg_contacts",
-        "LimbContacts": "operators.gait.limb_contacts",
-        "LimbCycles": "operators.gait.limb_cycles",
-        "LimbSymmetry": "operators.gait.symmetry",
-        "LimbWatch": "operators.gait.limb_watch",
-        "Lowpass": "operators.iir",
-        "MarkerContacts": "operators.gait.marker",
-        "MarkerWatch": "operators.gait.marker_watch",
-        "Markers": "operators.body.markers",
-        "MedianFrequency": "operators.emg.median_frequency",
-        "Mirror": "operators.features.mirror",
-        "MixtureDrift": "operators.emg.mixture_drift",
-        "Motion": "operators.depth.motion",
-        "MotionMap": "operators.motion_map",
-        "MovingMax": "operators.extremes",
-        "MovingMean": "operators.moving",
-        "MovingMin": "operators.extremes",
-        "MovingRms": "operators.moving",
-        "NameRepetitions": "operators.segmentation.naming",
-        "Neighbours": "operators.neighbours",
-        "NightMap": "operators.depth.night_map",
-        "Nights": "operators.sleep.nights",
-        "Normalise": "operators.emg.normalise",
-        "NormalisedPose": "operators.features.normalised_pose",
-        "NormativeBands": "operators.gait.norms",
-        "Notch": "operators.iir",
-        "OneEuro": "operators.one_euro",
-        "PatternWatch": "operators.gait.pattern_watch",
-        "Pause": "operators.pause",
-        "PeakMixtures": "operators.emg.mixtures",
-        "Persons": "operators.body.persons",
-        "Pose": "operators.features.pose",
-        "PoseGrid": "operators.pose_map.som",
-        "PoseNetwork": "operators.body.pose_network",
-        "Predict": "operators.predict",
-        "Presence": "operators.depth.presence",
-        "Rectify": "operators.rectify",
-        "RegionDepth": "operators.depth.region",
-        "Relief": "operators.body.relief",
-        "RemoveMean": "operators.mean",
-        "Resample": "operators.resample",
-        "Retrieve": "operators.pose_map.retrieve",
-        "Scale": "operators.scale",
-        "Segment": "operators.segmentation",
-        "Select": "operators.channels",
-        "SelfSimilarity": "operators.features.self_similarity",
-        "SignalQuality": "operators.emg.quality",
-        "Simplify": "operators.depth.simplify",
-        "SkipRest": "operators.features.rest",
-        "SleepPeriods": "operators.sleep.periods",
-        "SleepScorer": "operators.sleep.scorer",
-        "SleepStatistics": "operators.sleep.statistics",
-        "Stack": "operators.features.stack",
-        "StageCurves": "operators.gait.stage_curves",
-        "Stages": "operators.gait.stages",
-        "Standardise": "operators.features.standardise",
-        "SteerMesh": "operators.steering.operator",
-        "StepActivity": "operators.steps.activity",
-        "StepClassifier": "operators.steps.classifier",
-        "Steps": "operators.steps.steps",
-        "StrideShape": "operators.gait.stride_shape",
-        "Surer": "operators.body.surer",
-        "SwitchContacts": "operators.gait.force",
-        "Threshold": "operators.threshold",
-        "TurnAxes": "operators.turn_axes",
-        "TimingWatch": "operators.gait.timing_watch",
-        "View": "operators.depth.view",
-        "Weigh": "operators.features.weigh",
-        "WholePose": "operators.whole_pose.operator",
+        "AccelerationContacts": "kinegraph.operators.contacts.acceleration",
+        "Activity": "kinegraph.operators.bed.activity",
+        "Actors": "kinegraph.operators.steering.actors",
+        "Align": "kinegraph.operators.timing.align",
+        "Arithmetic": "kinegraph.operators.filters.arithmetic",
+        "Background": "kinegraph.operators.body.background",
+        "Bandpass": "kinegraph.operators.filters.iir",
+        "BedRegion": "kinegraph.operators.bed.bed",
+        "Binomial": "kinegraph.operators.filters.smooth",
+        "Breathing": "kinegraph.operators.bed.breathing",
+        "Bundle": "kinegraph.operators.features.bundle",
+        "ChannelWatch": "kinegraph.operators.monitors.channel_watch",
+        "CycleBursts": "kinegraph.operators.cycles.statistics.bursts",
+        "CycleEnsemble": "kinegraph.operators.cycles.statistics.ensemble",
+        "CycleReview": "kinegraph.operators.cycles.review",
+        "CycleStatistics": "kinegraph.operators.cycles.statistics.operator",
+        "CycleTargets": "kinegraph.operators.cycles.statistics.cycle_targets",
+        "CycleWatch": "kinegraph.operators.monitors.cycle_watch",
+        "Cycles": "kinegraph.operators.cycles.cycles",
+        "Decimate": "kinegraph.operators.filters.decimate",
+        "Derivative": "kinegraph.operators.filters.derivative",
+        "ElectrodeWatch": "kinegraph.operators.monitors.electrode_watch",
+        "Envelope": "kinegraph.operators.emg",
+        "Epochs": "kinegraph.operators.sleep.epochs",
+        "Extrema": "kinegraph.operators.body.extrema",
+        "FillGaps": "kinegraph.operators.filters.gaps",
+        "Footfalls": "kinegraph.operators.strides.footfalls",
+        "Footing": "kinegraph.operators.pose.footing",
+        "ForceContacts": "kinegraph.operators.contacts.force",
+        "ForcePlate": "kinegraph.operators.contacts.force_plate",
+        "Gate": "kinegraph.operators.timing.gate",
+        "GentleAlarm": "kinegraph.operators.sleep.gentle_alarm",
+        "GrowingGraph": "kinegraph.operators.maps.motion_graph.growing",
+        "Highpass": "kinegraph.operators.filters.iir",
+        "InertialContacts": "kinegraph.operators.contacts.inertial",
+        "LegContacts": "kinegraph.operators.contacts.leg_contacts",
+        "LimbContacts": "kinegraph.operators.contacts.limb_contacts",
+        "LimbCycles": "kinegraph.operators.cycles.limb_cycles",
+        "LimbSymmetry": "kinegraph.operators.cycles.statistics.symmetry",
+        "LimbWatch": "kinegraph.operators.monitors.limb_watch",
+        "Lowpass": "kinegraph.operators.filters.iir",
+        "MarkerContacts": "kinegraph.operators.contacts.marker",
+        "MarkerWatch": "kinegraph.operators.monitors.marker_watch",
+        "Markers": "kinegraph.operators.body.markers",
+        "MedianFrequency": "kinegraph.operators.cycles.statistics.median_frequency",
+        "Mirror": "kinegraph.operators.features.mirror",
+        "MixtureDrift": "kinegraph.operators.emg.mixtures.drift",
+        "Motion": "kinegraph.operators.bed.motion",
+        "MotionMap": "kinegraph.operators.maps.motion_map",
+        "MovingMax": "kinegraph.operators.filters.extremes",
+        "MovingMean": "kinegraph.operators.filters.moving",
+        "MovingMin": "kinegraph.operators.filters.extremes",
+        "MovingRms": "kinegraph.operators.filters.moving",
+        "NameRepetitions": "kinegraph.operators.segmentation.names.naming",
+        "Neighbours": "kinegraph.operators.neighbours",
+        "NightMap": "kinegraph.operators.bed.night_map",
+        "Nights": "kinegraph.operators.sleep.nights",
+        "Normalise": "kinegraph.operators.emg.normalise",
+        "NormalisedPose": "kinegraph.operators.features.normalised_pose",
+        "NormativeBands": "kinegraph.operators.cycles.statistics.norms",
+        "Notch": "kinegraph.operators.filters.iir",
+        "OneEuro": "kinegraph.operators.filters.one_euro",
+        "PatternWatch": "kinegraph.operators.monitors.pattern_watch",
+        "Pause": "kinegraph.operators.timing.pause",
+        "PeakMixtures": "kinegraph.operators.emg.mixtures.operator",
+        "Persons": "kinegraph.operators.body.persons",
+        "Pose": "kinegraph.operators.features.pose",
+        "PoseGrid": "kinegraph.operators.maps.pose_map.som",
+        "PoseNetwork": "kinegraph.operators.body.network.operator",
+        "Predict": "kinegraph.operators.filters.predict",
+        "Presence": "kinegraph.operators.bed.presence",
+        "Rectify": "kinegraph.operators.filters.rectify",
+        "RegionDepth": "kinegraph.operators.bed.frames.region",
+        "Relief": "kinegraph.operators.body.network.relief",
+        "RemoveMean": "kinegraph.operators.filters.mean",
+        "Resample": "kinegraph.operators.filters.resample",
+        "Retrieve": "kinegraph.operators.maps.pose_map.retrieve",
+        "Scale": "kinegraph.operators.filters.scale",
+        "Segment": "kinegraph.operators.segmentation",
+        "Select": "kinegraph.operators.filters.channels",
+        "SelfSimilarity": "kinegraph.operators.features.self_similarity",
+        "SignalQuality": "kinegraph.operators.emg.quality",
+        "Simplify": "kinegraph.operators.bed.frames.simplify",
+        "SkipRest": "kinegraph.operators.features.rest",
+        "SleepPeriods": "kinegraph.operators.sleep.periods",
+        "SleepScorer": "kinegraph.operators.sleep.scorer",
+        "SleepStatistics": "kinegraph.operators.sleep.statistics",
+        "Stack": "kinegraph.operators.features.stack",
+        "StageCurves": "kinegraph.operators.cycles.statistics.stage_curves",
+        "Stages": "kinegraph.operators.cycles.stages",
+        "Standardise": "kinegraph.operators.features.standardise",
+        "SteerMesh": "kinegraph.operators.steering.operator",
+        "StepActivity": "kinegraph.operators.steps.activity",
+        "StepClassifier": "kinegraph.operators.steps.classifier",
+        "Steps": "kinegraph.operators.steps.steps",
+        "StrideShape": "kinegraph.operators.strides.stride_shape",
+        "Surer": "kinegraph.operators.body.marker_fusion",
+        "SwitchContacts": "kinegraph.operators.contacts.force",
+        "Threshold": "kinegraph.operators.filters.threshold",
+        "TurnAxes": "kinegraph.operators.filters.turn_axes",
+        "TimingWatch": "kinegraph.operators.monitors.timing_watch",
+        "View": "kinegraph.operators.bed.frames.view",
+        "Weigh": "kinegraph.operators.features.weigh",
+        "WholePose": "kinegraph.operators.pose.operator",
     },
 )

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.errors import InputError
-from stream.time_text import rate
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.text.time_text import rate
 
 Samples: TypeAlias = NDArray[np.float64]
 Times: TypeAlias = NDArray[np.int64]
@@ -52,7 +52,7 @@ class StreamSpec:
 
     def _repr_html_(self) -> str:
         """For notebooks: what a sample is, and its channels with their units."""
-        from stream.html import table_html
+        from kinegraph.stream.text.html import table_html
 
         units = self.units if len(self.units) == len(self.channels) else self.units[:1] * len(self.channels)
         rows = [(name, units[i] if i < len(units) else "") for i, name in enumerate(self.channels)]
@@ -95,7 +95,8 @@ class StreamSpec:
         return self.units[0] if len(self.units) == 1 else self.units[self.channels.index(channel)]
 
     def derive(self, **changes: Any) -> StreamSpec:
-        """The spec of a stream computed from this one. What has another shape is no longer the mesh that `meta` describes (stream.mesh)."""
+        """The spec of a stream computed from this one. What has another shape is no longer the mesh that `meta`
+        describes (stream.domain.mesh)."""
         made = replace(self, **changes)
         if made.shape == self.shape or "mesh" not in made.meta or made.meta["mesh"] is not self.meta.get("mesh"):
             return made

@@ -9,14 +9,14 @@
             return SmoothState(share=1 / (self.tau_s * spec.rate_hz), level=np.zeros(spec.shape))
 
 `process` follows from that, and so does the call by which a compiled segment calls the kernel with no Python in between
-(`stream.engine.row`). A kernel's arguments are found by their names: what flows (`FLOW`), then fields of the state, then parameters. They
-are looked up once, when the operator is opened.
+(`stream.engine.flow.row`). A kernel's arguments are found by their names: what flows (`FLOW`), then fields of the state, then parameters.
+They are looked up once, when the operator is opened.
 
 The gap rule. A gap shows as `chunk.lost != 0`. Its length is the time from the last sample before it to the first one after it, less one
 period. Up to `reset_gap_s` the state is held, as if the samples on both sides were neighbours; beyond it the state is what `begin` made.
 `lost` is passed on at the same place either way, and the output's `settling_s` says for how long values are not settled after it.
 
-The rule for bad samples. NaN in gives NaN out and holds the state, channel by channel; infinity is treated as NaN (`stream.finite`).
+The rule for bad samples. NaN in gives NaN out and holds the state, channel by channel; infinity is treated as NaN (`stream.data.finite`).
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, STAMP, Array, Chunk, Specs, StreamSpec, Times
-from stream.errors import KinegraphError, nearest
-from stream.operator import Operator, Takes
-from stream.params import param
-from stream.require import numeric, width_of
-from stream.state import pack, unpack
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, STAMP, Array, Chunk, Specs, StreamSpec, Times
+from kinegraph.stream.data.require import numeric, width_of
+from kinegraph.stream.data.state import pack, unpack
+from kinegraph.stream.errors import KinegraphError, nearest
+from kinegraph.stream.operator import Operator, Takes
+from kinegraph.stream.params import param
 
 S = TypeVar("S")
 Kernel: TypeAlias = Callable[..., None]

@@ -1,7 +1,8 @@
 """The one compiler: `@kernel` turns a function of arrays into machine code, cached so that no stale code is ever used.
 
 Numba's own disk cache watches one file, so an edit in a kernel that another file's kernel calls goes unseen, and an edit of a file compiles
-all kernels in it. Here the folder in which a kernel is kept is named by its fingerprint (`stream.fingerprint`): a hash of all that its code
+all kernels in it. Here the folder in which a kernel is kept is named by its fingerprint (`stream.compiler.fingerprint`): a hash of all
+that its code
 depends on, of ours and of a user's; where its file lies and what else stands in it does not count. An edit opens new folders for the
 kernels that it can change; folders that were not used for a month are removed.
 """
@@ -24,10 +25,10 @@ import numba
 import platformdirs
 from numba.core import caching
 
-from stream.complete import complete, private_folder
-from stream.errors import KinegraphError
-from stream.fingerprint import fingerprint
-from stream.owners import refuse_shared
+from kinegraph.stream.compiler.fingerprint import fingerprint
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.atomic_file import complete, private_folder
+from kinegraph.stream.system.file_permissions import refuse_shared
 
 FunctionCache: Any = caching.FunctionCache
 CompileResultCacheImpl: Any = caching.CompileResultCacheImpl

@@ -8,10 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from stream.chunk import Chunk, Specs, StreamSpec, empty
-from stream.errors import ParameterError
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.stream.chunk import Chunk, Specs, StreamSpec, empty
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 HEARTBEAT_S = 0.05
 """How often a value says that it was not changed: so long does an operator that reads it wait for it."""

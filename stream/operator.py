@@ -13,13 +13,13 @@ from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
 
 import numpy as np
 
-from stream.arrays import series
-from stream.chunk import FOREVER, Array, Chunk, Specs, StreamSpec, stamps
-from stream.chunk import grid as grid
-from stream.errors import KinegraphError
-from stream.params import check
-from stream.series import Series
-from stream.state import pack, size_of, unpack
+from kinegraph.stream.chunk import FOREVER, Array, Chunk, Specs, StreamSpec, stamps
+from kinegraph.stream.chunk import grid as grid
+from kinegraph.stream.data.arrays import series
+from kinegraph.stream.data.series import Series
+from kinegraph.stream.data.state import pack, size_of, unpack
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.params import check
 
 S = TypeVar("S")
 
@@ -51,7 +51,7 @@ class Operator(Generic[S]):
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
     delays     in words, for the docs: by how much its stamps are earlier than what it has been given
     agrees     what its numbers equal, or where its method is from
-    departures rules of the laws (stream/conformance/broken.py) that do not hold here on purpose, each with the reason, for the docs
+    departures rules of the laws (stream/laws/violations.py) that do not hold here on purpose, each with the reason, for the docs
     panels     panels of its own for the page: per kind, the name of a JavaScript module beside this one (docs/page.md)
     """
 
@@ -185,7 +185,7 @@ class Case:
 
 def _applied(operator: Operator[Any], given: Series) -> dict[str, Array]:
     """What an operator with one input makes of a whole stream: every output's samples, by name."""
-    from stream.rows import taking  # it has kernels, and numba takes long to import
+    from kinegraph.stream.data.rows import taking  # it has kernels, and numba takes long to import
 
     fresh = operator.fresh()
     port = _required_input(operator)

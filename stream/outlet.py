@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
 
 import typing_extensions
 
-from stream.operator import Operator
+from kinegraph.stream.operator import Operator
 
 if TYPE_CHECKING:
-    from stream.clock import SessionClock
-    from stream.graph import Graph
+    from kinegraph.stream.graph import Graph
+    from kinegraph.stream.system.clock import SessionClock
 
 S = TypeVar("S")
 R = typing_extensions.TypeVar("R", default=None)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from stream.errors import ParameterError, nearest
+from kinegraph.stream.errors import ParameterError, nearest
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter

@@ -11,11 +11,11 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
-from stream.chunk import Chunk, Specs
-from stream.params import check
+from kinegraph.stream.chunk import Chunk, Specs
+from kinegraph.stream.params import check
 
 if TYPE_CHECKING:
-    from stream.impedance import Impedance
+    from kinegraph.stream.domain.impedance import Impedance
 
 
 class outputs_by_parameters:
@@ -135,8 +135,10 @@ class Source:
         """
         from importlib.metadata import entry_points
 
+        from kinegraph.stream.system.names import use_of
+
         for cls in type(self).__mro__:
-            for entry in entry_points(group="kinegraph.simulators", name=f"{cls.__module__}.{cls.__qualname__}"):
+            for entry in entry_points(group="kinegraph.simulators", name=use_of(cls)):
                 device: AbstractContextManager[Source] = entry.load()(self)
                 return device
         return None

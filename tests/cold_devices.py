@@ -12,10 +12,10 @@ import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 
-import stream.engine.session as engine
-from stream.commands.run import simulated
-from stream.conformance.watch import compiling
-from stream.graph.load import load
+import kinegraph.stream.engine.session as engine
+from kinegraph.stream.cli.commands.run import simulated
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.laws.watch import compiling
 
 RUN_S = 1.5
 

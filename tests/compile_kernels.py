@@ -10,9 +10,9 @@ import multiprocessing
 import os
 import time
 
-from stream.engine.warmup import _run_cases
-from stream.graph.parts import catalogue, find
-from stream.operator import Operator
+from kinegraph.stream.engine.warmup import _run_cases
+from kinegraph.stream.graph.components import catalogue, find
+from kinegraph.stream.operator import Operator
 
 SLOWEST = ("Segment", "WholePose", "Neighbours", "PoseGrid", "MotionMap", "SteerMesh", "PeakMixtures", "Extrema")
 """These compile longest and start first, so that the last process does not end alone."""
@@ -29,7 +29,7 @@ def main() -> None:
 
 
 def compile_kernels(use: str) -> None:
-    importlib.import_module("stream.graph.load")
+    importlib.import_module("kinegraph.stream.graph.reading.load")
     part = find(use)
     if issubclass(part, Operator) and (cases := part.cases()):
         _run_cases(cases[0].operator)

@@ -7,8 +7,8 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
-from stream.graph.parts import catalogue
-from stream.operator import Operator
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.operator import Operator
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "filters.md"
 HEAD = "| operator | what it does | parameters | delay | equal to, or source |\n|---|---|---|---|---|\n"

@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, Array, StreamSpec
-from stream.conformance.case_samples import tapes_of
-from stream.conformance.cut import whole
-from stream.conformance.play import Player
-from stream.graph.parts import catalogue, find
-from stream.operator import Operator
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, StreamSpec
+from kinegraph.stream.graph.components import catalogue, find
+from kinegraph.stream.laws.case_samples import tapes_of
+from kinegraph.stream.laws.chunking import whole
+from kinegraph.stream.laws.play import Player
+from kinegraph.stream.operator import Operator
 
 ANSWERS = Path(__file__).parent / "laws" / "golden"
 MAX_LINES = 40

@@ -13,9 +13,9 @@ from unittest import mock
 
 import numpy as np
 
-import stream.cli
-from stream.chunk import NS, StreamSpec, grid
-from stream.recording.series import Series, write_recording
+import kinegraph.stream.cli.main
+from kinegraph.stream.chunk import NS, StreamSpec, grid
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.golden import ANSWERS
 
 RELATIVE = 2e-3
@@ -38,7 +38,7 @@ def _train_pose() -> Iterator[str]:
 
 
 def _train_steering() -> Iterator[str]:
-    from devices.simulators.quadruped import marked, topology
+    from kinegraph.devices.people.quadruped import marked, topology
     from tests.avatar.test_steering_adapt import REFERENCE, STRIDE
 
     write_recording(Path("mesh.mcap"), [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
@@ -49,7 +49,7 @@ def _train_steering() -> Iterator[str]:
 
 
 def _train_graph() -> Iterator[str]:
-    from operators.segmentation.outputs import PRIMITIVE
+    from kinegraph.operators.segmentation.outputs import PRIMITIVE
     from tests.support.motion_made import CYCLE, RATE, TREE, bend, walking, waving
 
     fallen = waving(2)
@@ -133,7 +133,7 @@ def _electrodes() -> Iterator[str]:
     from tests.gait.test_emg_normalise import emg, recorded
 
     faults = "[{kind: hum, muscle: SO}, {kind: weak, muscle: TA}]"
-    board = f"use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 16, faults: {faults}"
+    board = f"use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 16, faults: {faults}"
     Path("bad.yaml").write_text(f"nodes:\n  board: {{{board}}}\n")
     yield "check-electrodes bad.yaml"
     recorded(Path("walk.mcap"), {"treadmill.emg": emg()})
@@ -142,7 +142,7 @@ def _electrodes() -> Iterator[str]:
 
 
 def _nights() -> Iterator[str]:
-    from operators.sleep.scorer import EPOCH
+    from kinegraph.operators.sleep.scorer import EPOCH
 
     rows = np.zeros(900, EPOCH)
     rows["onset"] = np.int64(1_700_000_000) * NS + np.arange(900) * 30 * NS
@@ -192,11 +192,11 @@ def _laboratory() -> None:
         Series("a.pulse", StreamSpec((), pulse.dtype, units=("ns", "")), pulse["onset"].copy(), pulse),
     ]
     write_recording(Path("a.mcap"), series, {"session": {"subject": "S1", "speed_m_s": 1.2}})
-    source = "nodes:\n  a: {use: devices.files.recorded_streams.RecordedStreams, path: a.mcap, of: a, speed: 0}\n"
-    chain = """  low: {use: operators.iir.Lowpass, from: a.emg, cutoff_hz: 6}
-  rms: {use: operators.moving.MovingRms, from: a.emg, window_s: 0.5}
-  loud: {use: operators.threshold.Threshold, from: rms, level: 1.0, channel: TA, release: 0.9}
-  gate: {use: operators.gate.Gate, from: {in: low, pulses: a.pulse}, start: p2}
+    source = "nodes:\n  a: {use: devices.recorded.recorded_streams.RecordedStreams, path: a.mcap, of: a, speed: 0}\n"
+    chain = """  low: {use: operators.filters.iir.Lowpass, from: a.emg, cutoff_hz: 6}
+  rms: {use: operators.filters.moving.MovingRms, from: a.emg, window_s: 0.5}
+  loud: {use: operators.filters.threshold.Threshold, from: rms, level: 1.0, channel: TA, release: 0.9}
+  gate: {use: operators.timing.gate.Gate, from: {in: low, pulses: a.pulse}, start: p2}
   table: {use: devices.outlets.csv_file.CsvFile, from: gate, path: gate.csv}
 record: [low, rms, loud.onset, loud.interval, gate]
 """
@@ -276,7 +276,7 @@ def call(words: list[str]) -> tuple[object, str, str]:
         redirect_stderr(err),
     ):
         try:
-            stream.cli.main()
+            kinegraph.stream.cli.main.main()
         except SystemExit as end:
             code = end.code or 0
     return code, out.getvalue(), err.getvalue()

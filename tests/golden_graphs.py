@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.simulators.walkway import Walkway, WalkwayTrial
-from stream.chunk import NS
-from stream.engine.replay import Replay
-from stream.engine.session import Session
-from stream.graph.load import load, load_text
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.people.walkway import Walkway, WalkwayTrial
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.engine.replay import Replay
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load, load_text
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.golden import ANSWERS, evenly, table
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
@@ -28,7 +28,7 @@ def _treadmill(folder: Path) -> Path:
         f"""
 nodes:
   treadmill:
-    use: devices.simulators.treadmill.Treadmill
+    use: devices.people.treadmill.Treadmill
     realtime: false
     duration_s: {SECONDS}
     seed: 5

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from devices.files.gltf_write import TRIANGLES, VERTICES, Glb
-from devices.outlets.page.avatar_file import AVATAR
-from stream.chunk import Array, Samples
-from stream.humanoid import BONES, NUMBERS, usual_body
+from kinegraph.devices.formats.gltf.writer import TRIANGLES, VERTICES, Glb
+from kinegraph.devices.page.avatar_file import AVATAR
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.domain.humanoid import BONES, NUMBERS, usual_body
 
 STEP_M = 0.02
 MELT_M = 0.02

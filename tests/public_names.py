@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stream.graph.parts import catalogue
+from kinegraph.stream.graph.components import catalogue
 
 HOUSE = Path(__file__).resolve().parent.parent
 PACKAGES = ("operators", "devices")
@@ -12,7 +12,7 @@ TEMPLATE = """{docstring}
 
 from typing import TYPE_CHECKING
 
-from stream.lazy import offered
+from kinegraph.stream.system.lazy import offered
 
 if TYPE_CHECKING:
 {imports}

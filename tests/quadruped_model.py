@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from devices.simulators.quadruped import marked, topology, walking
-from operators.steering.fit import fit_steering
-from operators.steering.operator import QUADRUPED
-from operators.steering.stored import KIND, to_arrays
-from stream.axes import BODY
-from stream.chunk import Array
-from stream.model import write_model
+from kinegraph.devices.people.quadruped import marked, topology, walking
+from kinegraph.operators.steering.model.fit import fit_steering
+from kinegraph.operators.steering.model.stored import KIND, to_arrays
+from kinegraph.operators.steering.operator import QUADRUPED
+from kinegraph.stream.chunk import Array
+from kinegraph.stream.data.model_file import write_model
+from kinegraph.stream.domain.axes import BODY
 
 LIMBS = ("hoof_fl", "hoof_fr", "hoof_hl", "hoof_hr")
 

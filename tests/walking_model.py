@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from devices.simulators.walking_back import MANNERS, Back
-from operators.steps.classifier import SHIPPED
-from operators.steps.commands.training import learned
-from operators.steps.commands.validation import Labelled
-from operators.steps.forest import StepModel
-from operators.steps.steps import Steps
-from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.devices.people.walking_back import MANNERS, Back
+from kinegraph.operators.steps.classifier import SHIPPED
+from kinegraph.operators.steps.commands.training import learned
+from kinegraph.operators.steps.commands.validation import Labelled
+from kinegraph.operators.steps.forest import StepModel
+from kinegraph.operators.steps.steps import Steps
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 PEOPLE, SECONDS, TREES = 24, 24, 12
 SPEC = StreamSpec(

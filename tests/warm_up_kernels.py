@@ -9,8 +9,8 @@ from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
-from stream.engine.warmup import _run_cases
-from stream.operator import Operator
+from kinegraph.stream.engine.warmup import _run_cases
+from kinegraph.stream.operator import Operator
 
 
 def main(use: str) -> None:

@@ -14,11 +14,11 @@ from mcap.writer import Writer
 
 from bench.work import CHANNELS, EVERY, WINDOW, Feed, Sink, Step, sos
 from bench.worker import KERNELS, RECORDED, serve
-from operators.decimate import thin_out
-from operators.iir import sections
-from operators.moving import moving_mean
-from operators.rectify import magnitudes
-from stream.chunk import Samples
+from kinegraph.operators.filters.decimate import thin_out
+from kinegraph.operators.filters.iir import sections
+from kinegraph.operators.filters.moving import moving_mean
+from kinegraph.operators.filters.rectify import magnitudes
+from kinegraph.stream.chunk import Samples
 
 FLUSH_S, SYNC_S = 0.5, 2.0
 """As our recorder does, by default."""

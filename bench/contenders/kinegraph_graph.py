@@ -17,18 +17,18 @@ import structlog
 from bench.parts import TRIAL, feed_all, leave
 from bench.work import CUTOFF_HZ, EVERY, ORDER, RATE_HZ, WINDOW, Feed, Sink, Step
 from bench.worker import SESSION, UNRECORDED, serve
-from stream.engine.pipeline import Pipeline
-from stream.engine.session import Session
-from stream.graph import RecordingOptions
-from stream.graph.load import load_text
-from stream.recording import Recorder
-from stream.stalls import calm
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recorder
+from kinegraph.stream.system.stalls import calm
 
 CHAIN = f"""
-  rectify: {{use: operators.rectify.Rectify, from: device}}
-  lowpass: {{use: operators.iir.Lowpass, from: rectify, cutoff_hz: {CUTOFF_HZ}, order: {ORDER}}}
-  thin: {{use: operators.decimate.Decimate, from: lowpass, every: {EVERY}}}
-  mean: {{use: operators.moving.MovingMean, from: thin, window_s: {WINDOW * EVERY / RATE_HZ}}}
+  rectify: {{use: operators.filters.rectify.Rectify, from: device}}
+  lowpass: {{use: operators.filters.iir.Lowpass, from: rectify, cutoff_hz: {CUTOFF_HZ}, order: {ORDER}}}
+  thin: {{use: operators.filters.decimate.Decimate, from: lowpass, every: {EVERY}}}
+  mean: {{use: operators.filters.moving.MovingMean, from: thin, window_s: {WINDOW * EVERY / RATE_HZ}}}
   count: {{use: bench.parts.Count, from: mean}}
 """
 

@@ -7,13 +7,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from devices.clocks import line_below
-from devices.clocks.pace import DevicePace
-from devices.clocks.timing import timing_chunk, timing_spec
-from stream.chunk import Chunk, Samples, Specs, StreamSpec
-from stream.errors import ParameterError
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.devices.clocks import line_below
+from kinegraph.devices.clocks.pace import DevicePace
+from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
+from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 BLOCK_S = 0.02
 """About this much time is read at once."""

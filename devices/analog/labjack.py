@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from devices.analog.inputs import AnalogReading, AnalogSource
-from devices.clocks.clock_log import ClockLog
-from stream.errors import DeviceError
-from stream.optional import optional
-from stream.params import param
-from stream.source import Feed
+from kinegraph.devices.analog.inputs import AnalogReading, AnalogSource
+from kinegraph.devices.clocks.clock_log import ClockLog
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed
+from kinegraph.stream.system.extras import optional
 
 LOST = -9999.0
 """What LJM puts in the place of a scan that was lost."""

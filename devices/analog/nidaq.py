@@ -8,12 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from devices.analog.inputs import AnalogReading, AnalogSource
-from devices.clocks.clock_log import ClockLog
-from stream.errors import DeviceError
-from stream.optional import optional
-from stream.params import param
-from stream.source import Feed
+from kinegraph.devices.analog.inputs import AnalogReading, AnalogSource
+from kinegraph.devices.clocks.clock_log import ClockLog
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed
+from kinegraph.stream.system.extras import optional
 
 TIMEOUT_S = 2.0
 WIRING = {
@@ -34,7 +34,7 @@ class NiDaq(AnalogSource):
     timing   an event per block of 20 ms: running sample number, the device's time by it, arrival, stamp
 
     The device's clock paces the samples; they are counted and mapped onto the session's clock. A buffer that has overflowed ends the
-    reading, which begins again behind a gap. A plate's volts become forces in `operators.force_plate.ForcePlate`.
+    reading, which begins again behind a gap. A plate's volts become forces in `operators.contacts.force_plate.ForcePlate`.
     """
 
     device: str = param("Dev1", help="as NI MAX shows it")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import ClassVar, Protocol
 
-from devices.ble.link import BleLink, Notification
-from devices.ble.radio import library
-from devices.clocks import line_below
-from devices.clocks.clock_log import ClockLog
-from devices.clocks.device_clock import ClockState
-from stream.errors import DeviceError
-from stream.source import Feed, Source
+from kinegraph.devices.clocks import line_below
+from kinegraph.devices.clocks.clock_log import ClockLog
+from kinegraph.devices.clocks.device_clock import ClockState
+from kinegraph.devices.transport.ble_link import BleLink, Notification
+from kinegraph.devices.transport.ble_radio import library
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.source import Feed, Source
 
 READ_S = 0.1
 DEVICE_HELP = "its address, or how its name begins; left out: the first that advertises the service"

@@ -12,15 +12,15 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.cameras.intrinsics import lens
-from devices.clocks import line_below
-from devices.clocks.clock_log import ClockLog
-from devices.clocks.stamps import Stamps
-from devices.clocks.timing import timing_chunk, timing_spec
-from stream.chunk import Array, Chunk, Specs, StreamSpec
-from stream.errors import DeviceError
-from stream.params import param
-from stream.source import Feed, Source, outputs_by_parameters
+from kinegraph.devices.clocks import line_below
+from kinegraph.devices.clocks.clock_log import ClockLog
+from kinegraph.devices.clocks.stamps import Stamps
+from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
+from kinegraph.stream.chunk import Array, Chunk, Specs, StreamSpec
+from kinegraph.stream.domain.intrinsics import lens
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source, outputs_by_parameters
 
 FIRST_FRAME_S = 15.0
 USUAL_FOCAL = 0.80

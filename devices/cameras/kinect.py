@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
-from stream.chunk import Specs
-from stream.errors import DeviceError, ParameterError
-from stream.optional import optional
-from stream.params import param
+from kinegraph.devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
+from kinegraph.stream.chunk import Specs
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import param
+from kinegraph.stream.system.extras import optional
 
 MODES = {
     (320, 288): "NFOV_2X2BINNED",

@@ -9,11 +9,11 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
-from devices.cameras.realsense import in_mm
-from stream.errors import DeviceError
-from stream.optional import optional
-from stream.params import param
+from kinegraph.devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
+from kinegraph.devices.cameras.realsense import in_mm
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.params import param
+from kinegraph.stream.system.extras import optional
 
 simulated: list[Any] = []
 """Libraries that replace pyorbbecsdk; the last one added."""

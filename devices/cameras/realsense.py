@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
-from stream.errors import DeviceError
-from stream.optional import optional
-from stream.params import param
+from kinegraph.devices.cameras.depth_camera import CameraFrame, DepthCamera, OpenCamera
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.params import param
+from kinegraph.stream.system.extras import optional
 
 MS = 1_000_000
 

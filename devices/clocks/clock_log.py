@@ -8,8 +8,8 @@ from typing import Self
 
 import structlog
 
-from devices.clocks.device_clock import ClockState
-from stream.source import Feed
+from kinegraph.devices.clocks.device_clock import ClockState
+from kinegraph.stream.source import Feed
 
 EVERY_S, LOGGED_EVERY_S = 1.0, 60.0
 

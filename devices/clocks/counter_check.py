@@ -6,9 +6,9 @@ from collections import Counter as Tally
 
 import numpy as np
 
-from stream.chunk import NS, Array
-from stream.errors import RunError
-from stream.source import Feed
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.errors import RunError
+from kinegraph.stream.source import Feed
 
 FROM_S, TO_S = 2.0, 10.0
 ENOUGH = 50

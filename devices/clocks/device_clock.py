@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.clocks.line_below import even_stamps, line_below
-from devices.clocks.suspension import SLEPT_NS, Suspension
-from stream.chunk import NS, STAMP, Times
+from kinegraph.devices.clocks.line_below import even_stamps, line_below
+from kinegraph.devices.clocks.suspension import SLEPT_NS, Suspension
+from kinegraph.stream.chunk import NS, STAMP, Times
 
 BUCKET_NS = NS
 WINDOW = 120

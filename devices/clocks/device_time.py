@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.clocks.device_clock import JUMP_NS, DeviceClock
-from stream.chunk import Times
+from kinegraph.devices.clocks.device_clock import JUMP_NS, DeviceClock
+from kinegraph.stream.chunk import Times
 
 SLACK_NS = 10_000_000_000
 """A device's time may advance by this much more than what has passed here: what was made during a stall comes all at once."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stream.chunk import NS
+from kinegraph.stream.chunk import NS
 
 UNITS_NS = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9, "ticks of 1/1024 s": NS / 1024, "ticks of 1/32768 s": NS / 32768}
 NEAR = 0.02

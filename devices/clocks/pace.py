@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.clocks.device_clock import ClockState, DeviceClock
-from stream.chunk import NS, Times
+from kinegraph.devices.clocks.device_clock import ClockState, DeviceClock
+from kinegraph.stream.chunk import NS, Times
 
 WATCHED_NS = NS
 ASTRAY_NS = 100_000_000

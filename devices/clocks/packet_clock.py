@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.clocks.device_clock import ClockState, DeviceClock
-from stream.chunk import NS, Array, Times
+from kinegraph.devices.clocks.device_clock import ClockState, DeviceClock
+from kinegraph.stream.chunk import NS, Array, Times
 
 Flags = NDArray[np.bool_]
 

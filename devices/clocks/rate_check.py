@@ -7,11 +7,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.clocks.device_time import STILL_NS, STILL_STEPS
-from devices.clocks.mismatch_words import of_rate, of_turn, of_unit
-from stream.chunk import NS, Samples, Times
-from stream.errors import RunError
-from stream.source import Feed
+from kinegraph.devices.clocks.device_time import STILL_NS, STILL_STEPS
+from kinegraph.devices.clocks.mismatch_words import of_rate, of_turn, of_unit
+from kinegraph.stream.chunk import NS, Samples, Times
+from kinegraph.stream.errors import RunError
+from kinegraph.stream.source import Feed
 
 Policy = Literal["fail", "warn"]
 POLICY_HELP = (

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.clocks.device_clock import ClockState, DeviceClock
-from devices.clocks.packet_clock import Packets
-from stream.chunk import NS, Array, Times
+from kinegraph.devices.clocks.device_clock import ClockState, DeviceClock
+from kinegraph.devices.clocks.packet_clock import Packets
+from kinegraph.stream.chunk import NS, Array, Times
 
 WATCHED_NS = NS
 SURE = 0.6

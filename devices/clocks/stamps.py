@@ -9,11 +9,11 @@ from math import inf
 
 import numpy as np
 
-from devices.clocks.device_clock import ClockState, Counter, DeviceClock
-from devices.clocks.device_time import DeviceTime
-from devices.clocks.packet_clock import NOTHING, ONE, PacketClock, Packets, Stamped
-from stream.chunk import NS, Array, Chunk, Times
-from stream.source import Feed
+from kinegraph.devices.clocks.device_clock import ClockState, Counter, DeviceClock
+from kinegraph.devices.clocks.device_time import DeviceTime
+from kinegraph.devices.clocks.packet_clock import NOTHING, ONE, PacketClock, Packets, Stamped
+from kinegraph.stream.chunk import NS, Array, Chunk, Times
+from kinegraph.stream.source import Feed
 
 REPEATED = -2
 GAP_PERIODS = 1.75

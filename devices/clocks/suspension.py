@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stream.chunk import NS
-from stream.clock import suspended_ns
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.system.clock import suspended_ns
 
 SLEPT_NS = NS
 """After a longer silence it is asked whether the machine was suspended as long."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.clocks.device_clock import JUMP_NS, ClockState, DeviceClock
-from devices.clocks.packet_clock import Packets
-from stream.chunk import NS, STAMP, Times
-from stream.kernel import kernel
+from kinegraph.devices.clocks.device_clock import JUMP_NS, ClockState, DeviceClock
+from kinegraph.devices.clocks.packet_clock import Packets
+from kinegraph.stream.chunk import NS, STAMP, Times
+from kinegraph.stream.kernel import kernel
 
 SLACK_NS = 10_000_000_000
 """A device's time may advance by this much more than what has passed here: what was made during a stall comes all at once."""

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.errors import KinegraphError, nearest
-from stream.plain import say
+from kinegraph.stream.errors import KinegraphError, nearest
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from devices.discovery.found import FoundDevice
+    from kinegraph.devices.discovery.found import FoundDevice
 
 
 def devices(
@@ -26,7 +26,7 @@ def devices(
     as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
 ) -> None:
     """List what is connected, with the YAML to use it."""
-    from devices.discovery.found import finders, look
+    from kinegraph.devices.discovery.found import finders, look
 
     known = finders()
     for kind in kinds or ():

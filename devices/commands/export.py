@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from devices.files.exporter import Export, Exporter, chosen, exporters
-from stream.bounded import reading
-from stream.errors import RecordingError
-from stream.plain import say
+from kinegraph.devices.formats.exporter import Export, Exporter, chosen, exporters
+from kinegraph.stream.data.bounded import reading
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from stream.chunk import StreamSpec
-    from stream.recording import Recording
+    from kinegraph.stream.chunk import StreamSpec
+    from kinegraph.stream.recording import Recording
 
 FORMATS = "; ".join(f"{name}: {one.what}" for name, one in exporters().items())
 
@@ -51,8 +51,8 @@ def export(
 
     What a format cannot hold is left out and said so: a table holds no images.
     """
-    from stream.progress import bar
-    from stream.recording import Recording
+    from kinegraph.stream.recording import Recording
+    from kinegraph.stream.text.progress import bar
 
     exporter, done = chosen(format, output), 0
     with reading(recording, "a recording"), Recording.open(recording) as opened:
@@ -97,7 +97,7 @@ def _fitting(recording: Recording, wanted: list[str], exporter: Exporter) -> lis
 
 def _no_table(spec: StreamSpec) -> str:
     """Why a stream does not fit into a table."""
-    from stream.columns import column_names
+    from kinegraph.stream.data.columns import column_names
 
     try:
         column_names(spec)

@@ -6,17 +6,17 @@ from datetime import UTC, datetime
 from pathlib import Path as File
 from typing import TYPE_CHECKING
 
-from devices.commands import import_arguments as argument
-from devices.commands.import_options import pairs, value, wishes_of
-from devices.files.importer import read_files
-from stream.errors import RecordingError
-from stream.plain import say
+from kinegraph.devices.commands import import_arguments as argument
+from kinegraph.devices.commands.import_options import pairs, value, wishes_of
+from kinegraph.devices.formats.importer import read_files
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from devices.files.column_table import Wishes
-    from stream.recording.series import Series
+    from kinegraph.devices.formats.column_table import Wishes
+    from kinegraph.stream.recording.series import Series
 
 
 def import_(
@@ -53,7 +53,7 @@ def import_(
 
     kinegraph import emg.csv -o emg.mcap --stream board.emg=TA,GM --time time --unit uV
     """
-    from stream.commands import logs
+    from kinegraph.stream.cli.commands import logs
 
     logs.set_up()
     said = {"stream": stream, "events": events, "time": time, "time_unit": time_unit, "rate": rate, "counter": counter,
@@ -71,7 +71,7 @@ def import_(
     _check_names(series)
     _declare_axes(series, pairs("up", up), pairs("forward", forward))
     if preview or output is None:
-        from devices.commands.preview import show
+        from kinegraph.devices.commands.preview import show
 
         show(series, wishes.findings)
     else:
@@ -88,9 +88,9 @@ def _write(
     *,
     overwrite: bool,
 ) -> None:
-    from stream.progress import bar
-    from stream.recording import versions
-    from stream.recording.series import write_recording
+    from kinegraph.stream.recording import versions
+    from kinegraph.stream.recording.series import write_recording
+    from kinegraph.stream.text.progress import bar
 
     if not any(len(one.time) for one in series):
         raise RecordingError(f"{', '.join(map(str, files))}: there are no samples to record")
@@ -112,7 +112,7 @@ def _write(
 
 def _declare_axes(series: Sequence[Series], up: dict[str, str], forward: dict[str, str]) -> None:
     """Declare the axes of points and meshes, as the options say. Raises RecordingError where files say it themselves."""
-    from stream.axes import Axes, has_places, in_axes
+    from kinegraph.stream.domain.axes import Axes, has_places, in_axes
 
     for name in (*up, *forward):
         if name and not any(one.name == name and has_places(one.spec) for one in series):

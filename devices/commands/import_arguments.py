@@ -7,8 +7,8 @@ from typing import Annotated, TypeAlias
 
 import typer
 
-from devices.commands.import_options import Many
-from devices.files.importer import listed
+from kinegraph.devices.commands.import_options import Many
+from kinegraph.devices.formats.importer import listed
 
 ImportedFiles: TypeAlias = Annotated[
     list[Path],

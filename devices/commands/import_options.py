@@ -7,17 +7,17 @@ from datetime import UTC, datetime
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from stream.errors import RecordingError
+from kinegraph.stream.errors import RecordingError
 
 if TYPE_CHECKING:
-    from devices.files.column_table import Wishes
+    from kinegraph.devices.formats.column_table import Wishes
 
 Many = list[str] | None
 
 
 def wishes_of(said: Mapping[str, Many], start: str, **flags: Any) -> Wishes:
     """The wishes from every option's texts, when time 0 was, and flags as they are. Raises RecordingError that names the option."""
-    from devices.files.column_table import Wishes
+    from kinegraph.devices.formats.column_table import Wishes
 
     return Wishes(
         streams={name: list_of(text) for name, text in pairs("stream", said["stream"], named=True).items()},

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stream.commands.page_options import NoToken, PageAt, PageCertificate, PageFor, PageKey
-from stream.errors import KinegraphError
-from stream.plain import say
+from kinegraph.stream.cli.commands.page_options import NoToken, PageAt, PageCertificate, PageFor, PageKey
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from devices.outlets.page.address import Address
-    from devices.pose_map.hub import MapHub
+    from kinegraph.devices.page.address import Address
+    from kinegraph.devices.page.map.hub import MapHub
 
 
 def map_(
@@ -46,11 +46,11 @@ def map_(
     The map is trained once and kept; it is trained again when a recording or the table has changed. A map that `kinegraph train map` has
     made can be given in the recordings' place.
     """
-    from devices.outlets.page.address import parsed
-    from devices.outlets.page.serving import refuse_unbuilt
-    from devices.pose_map.hub import MapHub
-    from stream.commands import logs
-    from stream.motion_index import MotionIndex
+    from kinegraph.devices.page.address import parsed
+    from kinegraph.devices.page.map.hub import MapHub
+    from kinegraph.devices.page.serving import refuse_unbuilt
+    from kinegraph.stream.cli.commands import logs
+    from kinegraph.stream.domain.pose_map import MotionIndex
 
     logs.set_up()
     address = parsed(page_at, page_certificate, page_key, no_token=no_token)
@@ -67,7 +67,7 @@ def trained(recordings: list[Path], options: dict[str, Any]) -> Path:
     """The map of these recordings, made now if there is none of them as they are."""
     import platformdirs
 
-    from stream.recording.place import parts_of
+    from kinegraph.stream.recording.format.paths import parts_of
 
     told = [repr(sorted((k, str(v)) for k, v in options.items()))]
     files = [part for path in recordings for part in (parts_of(path) or [path])]
@@ -90,8 +90,8 @@ def trained(recordings: list[Path], options: dict[str, Any]) -> Path:
 
 
 async def _serve(hub: MapHub, address: Address, duration_s: float) -> None:
-    from devices.outlets.page.serving import PageServer, tls_context
-    from devices.pose_map.wanted import wanted
+    from kinegraph.devices.page.map.wanted import wanted
+    from kinegraph.devices.page.serving import PageServer, tls_context
 
     server = PageServer(hub, lambda: "# EOF\n", files=FILES, understand=wanted)
     port = await server.open(address.host, address.port, address.token, tls_context(address.certificate, address.key))

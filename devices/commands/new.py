@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stream.errors import DeviceError, KinegraphError
-from stream.plain import say
+from kinegraph.stream.errors import DeviceError, KinegraphError
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from devices.protocols.frame_guess import FrameGuess
-    from devices.protocols.lines_guess import LinesGuess
+    from kinegraph.devices.frames.guess import FrameGuess
+    from kinegraph.devices.lines.guess import LinesGuess
 
 RATES = (
     1,
@@ -103,7 +103,7 @@ def new(
     Of a port it proposes frame length, sync bytes, counter, time, checksum and rate, which the bytes show; what the numbers are, their
     types, names and units, must be compared with the device's manual.
     """
-    from devices.commands.skeleton import is_name, write_skeleton
+    from kinegraph.devices.commands.skeleton import is_name, write_skeleton
 
     if what is New.operator or (what is New.device and is_name(port)):
         made = write_skeleton(what.value, port, output or File())
@@ -122,8 +122,9 @@ def new(
 
 def _for_port(port: str, baud: int, seconds: float, start: str, stop: str) -> str:
     """A graph of what a port sends. Raises DeviceError."""
-    from devices.protocols import frame_guess, lines_guess
-    from devices.transport.handshake import shown
+    from kinegraph.devices.frames import guess as frame_guess
+    from kinegraph.devices.lines import guess as lines_guess
+    from kinegraph.devices.transport.handshake import shown
 
     data, passed = _listen(port, baud, seconds, start, stop)
     lines = lines_guess.guess(data)
@@ -150,9 +151,9 @@ def _give(text: str, output: File | None) -> None:
 
 def _for_recording(path: File) -> str:
     """A first graph of a recording's input streams. Raises KinegraphError."""
-    from devices.files.first_graph import graph_text
-    from stream.bounded import reading
-    from stream.recording import Recording
+    from kinegraph.devices.conversion.first_graph import graph_text
+    from kinegraph.stream.data.bounded import reading
+    from kinegraph.stream.recording import Recording
 
     if path.is_file() and path.suffix != ".mcap":
         raise KinegraphError(f"{path}: is not a recording; make one of it: kinegraph import {path} -o {path.stem}.mcap")
@@ -165,8 +166,8 @@ def _for_recording(path: File) -> str:
 
 def _listen(port: str, baud: int, seconds: float, start: str, stop: str) -> tuple[bytes, float]:
     """What comes, and within how many seconds from its first byte to its last."""
-    from devices.protocols.declared import hex_bytes
-    from devices.transport.transport import connect
+    from kinegraph.devices.frames.declared import hex_bytes
+    from kinegraph.devices.transport.transport import connect
 
     data, first, last = b"", 0.0, 0.0
     with connect(port, baud) as link:
@@ -203,7 +204,7 @@ def _lines_graph(port: str, baud: int, found: LinesGuess, rate: float) -> str:
     facts: dict[str, Any] = {"delimiter": found.delimiter} if found.delimiter != "," else {}
     facts |= {"counter": found.counter} if found.counter else {}
     facts |= {"time": found.time, "time_unit": _unit(found.step, rate)[0]} if found.time else {}
-    return _graph("devices.ascii_lines.AsciiLines", port, baud, {"columns": found.columns, **facts, "rate_hz": rate})
+    return _graph("devices.lines.AsciiLines", port, baud, {"columns": found.columns, **facts, "rate_hz": rate})
 
 
 def _frames_graph(port: str, baud: int, found: FrameGuess, rate: float, start: str, stop: str) -> str:
@@ -218,7 +219,7 @@ def _frames_graph(port: str, baud: int, found: FrameGuess, rate: float, start: s
             one |= {"unit": unit} | ({"scale": scale} if scale != 1.0 else {})
     facts: dict[str, Any] = {"framing": found.framing} if found.framing != "none" else {}
     facts |= {name: [given] for name, given in (("start", start), ("stop", stop)) if given}
-    return _graph("devices.binary.Binary", port, baud, {**facts, "frames": [frame]})
+    return _graph("devices.frames.Binary", port, baud, {**facts, "frames": [frame]})
 
 
 def _graph(use: str, port: str, baud: int, facts: dict[str, Any]) -> str:
@@ -236,6 +237,6 @@ def _graph(use: str, port: str, baud: int, facts: dict[str, Any]) -> str:
 
 def _check(text: str) -> None:
     """What is proposed must be taken."""
-    from stream.graph.load import load_text
+    from kinegraph.stream.graph.reading.load import load_text
 
     load_text(text, "proposal")

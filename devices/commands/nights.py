@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 import structlog
 import typer
 
-from stream.errors import KinegraphError
-from stream.plain import say
-from stream.time_text import in_hours
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.text.safe_text import say
+from kinegraph.stream.text.time_text import in_hours
 
 if TYPE_CHECKING:
-    from devices.outlets.night.weeks import NightRow
+    from kinegraph.devices.reports.night.weeks import NightRow
 
 
 class Action(StrEnum):
@@ -84,13 +84,13 @@ def nights(
 
 def _of_single(action: Action, path: Path, names: list[str], yes: bool) -> None:
     """Report or delete."""
-    from devices.outlets.night import archive
+    from kinegraph.devices.reports.night import archive
 
     if not names:
         raise KinegraphError(f"name the night to {action.value}: a date such as 2026-11-20, or last")
     folders = [archive.find(path, name) for name in names]
     if action is Action.report:
-        from devices.outlets.night.page import draw
+        from kinegraph.devices.reports.night.page import draw
 
         failed = []
         for folder in folders:
@@ -127,8 +127,8 @@ def _over_weeks(
     output: Path | None,
 ) -> None:
     """The report on weeks, or the table of all nights."""
-    from devices.outlets.night import weeks, weeks_page
-    from stream.complete import private_folder, write_complete
+    from kinegraph.devices.reports.night import weeks, weeks_page
+    from kinegraph.stream.system.atomic_file import private_folder, write_complete
 
     if len(periods) not in (0, 2):
         raise KinegraphError("--compare names one period; give it twice, the earlier one first")
@@ -151,7 +151,7 @@ def _over_weeks(
 
 
 def _rows(path: Path, sleeper: str) -> list[NightRow]:
-    from devices.outlets.night import archive, weeks
+    from kinegraph.devices.reports.night import archive, weeks
 
     found = weeks.rows(path, sleeper, lambda error: log.warning("a night is left out", error=str(error)))
     if not found and not sleeper:
@@ -185,7 +185,7 @@ def _weekdays(text: str) -> tuple[int, ...]:
 
 def _epochs(folder: Path) -> str:
     """How many there are of a night; a damaged table does not hide the other nights."""
-    from devices.outlets.night import archive
+    from kinegraph.devices.reports.night import archive
 
     try:
         return str(len(archive.read_epochs(folder)))
@@ -196,8 +196,8 @@ def _epochs(folder: Path) -> str:
 def _list(root: Path, sleeper: str, free: tuple[int, ...]) -> None:
     from rich.table import Table
 
-    from devices.outlets.night import archive, weeks, weeks_page
-    from stream.screen import Screen
+    from kinegraph.devices.reports.night import archive, weeks, weeks_page
+    from kinegraph.stream.text.screen import Screen
 
     table = Table(
         "night", "kind", "from", "to", "asleep", "efficiency", "epochs", "report", "size", box=None, header_style="bold"

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stream.chunk import NS
-from stream.plain import say
-from stream.time_text import moment
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.text.safe_text import say
+from kinegraph.stream.text.time_text import moment
 
 if TYPE_CHECKING:
-    from devices.files.findings import Findings
-    from stream.recording.series import Series
+    from kinegraph.devices.formats.findings import Findings
+    from kinegraph.stream.recording.series import Series
 
 FIRST = 4
 """Numbers, names and events of each stream that are shown."""

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from stream.errors import KinegraphError
-from stream.plain import say
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from stream.graph import Graph
+    from kinegraph.stream.graph import Graph
 
 EXAMPLE = "kinegraph record devices.cyton.Cyton port=/dev/serial/by-id/NAME"
 
@@ -49,8 +49,8 @@ def record(
     What a camera sees is private, and is kept only with --store-frames. Values are read as YAML. The recording holds a graph of these
     sources alone, so it can be replayed; exit codes are those of `run`.
     """
-    from stream.commands import logs
-    from stream.commands.run import conduct, session_folder
+    from kinegraph.stream.cli.commands import logs
+    from kinegraph.stream.cli.commands.run import conduct, session_folder
 
     logs.set_up(json=json_log, verbose=verbose)
     if simulate:
@@ -71,8 +71,8 @@ def record(
 
 def loaded(arguments: list[str], record: Sequence[str] = ()) -> Graph:
     """The graph of these sources. Raises GraphError, without the lines of a file that nobody wrote."""
-    from stream.errors import GraphError
-    from stream.graph.load import load_text
+    from kinegraph.stream.errors import GraphError
+    from kinegraph.stream.graph.reading.load import load_text
 
     try:
         return load_text(*written(arguments, record))
@@ -82,7 +82,7 @@ def loaded(arguments: list[str], record: Sequence[str] = ()) -> Graph:
 
 def pictures(graph: Graph) -> list[str]:
     """The outputs of sources that are images."""
-    from stream.recording.image import is_picture
+    from kinegraph.stream.recording.format.image import is_picture
 
     return [
         f"{node.name}.{output}" for node in graph.sources for output, spec in node.specs.items() if is_picture(spec)
@@ -106,7 +106,7 @@ def with_ports(arguments: list[str]) -> list[str]:
 
 def _parameters(path: str) -> set[str]:
     """The names of a source's parameters; none where there is no such source, which loading the graph reports."""
-    from stream.graph.parts import find
+    from kinegraph.stream.graph.components import find
 
     try:
         return {field.name for field in fields(cast("Any", find(path)))}
@@ -150,8 +150,8 @@ def _name(given: str, path: str, taken: dict[str, Any]) -> str:
 
 
 def _value(argument: str, value: str) -> Any:
-    from stream.errors import GraphError
-    from stream.graph.yaml_lines import parse
+    from kinegraph.stream.errors import GraphError
+    from kinegraph.stream.graph.reading.yaml_lines import parse
 
     try:
         return parse(value, "").plain()

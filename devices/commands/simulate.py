@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stream.errors import KinegraphError, ParameterError, nearest
-from stream.plain import say
+from kinegraph.stream.errors import KinegraphError, ParameterError, nearest
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from devices.simulators.serve import Simulator
+    from kinegraph.devices.simulation.serve import Simulator
 
 
 def simulate(
@@ -36,9 +36,9 @@ def simulate(
     clock is set, jump_every_s=, by jump_s= (below 0: back); from_s= (nothing goes wrong before), seed=. What means nothing to a
     device (a counter started again where there is none) is refused.
     """
-    from devices.simulators.misbehaviour import Misbehaviour
-    from devices.simulators.named import find, named
-    from stream.params import build
+    from kinegraph.devices.simulation.catalogue import find, named
+    from kinegraph.devices.simulation.fault_injection import Misbehaviour
+    from kinegraph.stream.params import build
 
     if not name:
         _list(named())
@@ -75,7 +75,7 @@ def _interruptible() -> Iterator[None]:
 
 def _read(settings: list[str]) -> dict[str, Any]:
     """{"lose": 0.01} from ["lose=0.01"]; values are read as YAML."""
-    from stream.graph.yaml_lines import parse
+    from kinegraph.stream.graph.reading.yaml_lines import parse
 
     found: dict[str, Any] = {}
     for setting in settings:
@@ -99,7 +99,7 @@ def _split(given: dict[str, Any], kind: type[Simulator], mishap: type[Any]) -> t
 def _list(simulators: dict[str, type[Simulator]]) -> None:
     from rich.table import Table
 
-    from stream.screen import Screen
+    from kinegraph.stream.text.screen import Screen
 
     table = Table("name", "what", "parameters", box=None)
     for name, kind in simulators.items():

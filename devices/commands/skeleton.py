@@ -9,8 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from stream.complete import write_complete
-from stream.errors import KinegraphError
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.atomic_file import write_complete
 
 FILES = {
     "operator": {"operator": "{}.py", "operator_test": "test_{}.py", "operator_graph": "{}.yaml"},
@@ -34,7 +34,7 @@ def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
     """Write the files of a kind for the module `name` into `folder`; raises KinegraphError where one is there, or the name cannot be."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
         raise KinegraphError(f"{name!r}: must be a module's name, small letters, digits and _, as in 'tiny_board'")
-    if name in sys.stdlib_module_names or name in ("stream", "devices", "operators", "kinegraph", "numpy"):
+    if name in sys.stdlib_module_names or name in ("kinegraph", "numpy"):
         raise KinegraphError(f"{name!r}: is the name of a module that is installed; choose another")
     words = {"name": name, "Name": "".join(part.capitalize() for part in name.split("_"))}
     made = {folder / title.format(name): skeleton for skeleton, title in FILES[kind].items()}
@@ -43,6 +43,6 @@ def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
             raise KinegraphError(f"{path}: already exists; choose another name or --out")
     folder.mkdir(parents=True, exist_ok=True)
     for path, skeleton in made.items():
-        text = files("devices.commands").joinpath("skeletons", f"{skeleton}.txt").read_text(encoding="utf-8")
+        text = files("kinegraph.devices.commands").joinpath("skeletons", f"{skeleton}.txt").read_text(encoding="utf-8")
         write_complete(path, Template(text).substitute(words))
     return list(made)

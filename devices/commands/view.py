@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.commands.page_options import NoToken, PageAt, PageAvatar, PageCertificate, PageFor, PageKey
-from stream.plain import say
+from kinegraph.stream.cli.commands.page_options import NoToken, PageAt, PageAvatar, PageCertificate, PageFor, PageKey
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from devices.outlets.page.address import Address
-    from devices.outlets.page.viewing import RecordingHub
+    from kinegraph.devices.page.address import Address
+    from kinegraph.devices.page.recorded.viewing import RecordingHub
 
 
 FOR_CLIENTS = 192 << 20
@@ -33,15 +33,15 @@ def view(
     duration_s: PageFor = 0.0,
 ) -> None:
     """Open a recording in a browser: scrub through all its streams, see gaps and annotations."""
-    from devices.outlets.page.address import parsed
-    from devices.outlets.page.avatar_file import checked_avatar
-    from devices.outlets.page.serving import refuse_unbuilt
-    from devices.outlets.page.viewing import RecordingHub
-    from stream.bounded import reading, room
-    from stream.ceiling import limited
-    from stream.commands import logs
-    from stream.errors import RecordingError
-    from stream.recording import Recording
+    from kinegraph.devices.page.address import parsed
+    from kinegraph.devices.page.avatar_file import checked_avatar
+    from kinegraph.devices.page.recorded.viewing import RecordingHub
+    from kinegraph.devices.page.serving import refuse_unbuilt
+    from kinegraph.stream.cli.commands import logs
+    from kinegraph.stream.data.bounded import reading, room
+    from kinegraph.stream.errors import RecordingError
+    from kinegraph.stream.recording import Recording
+    from kinegraph.stream.system.memory_limit import limited
 
     logs.set_up()
     address = parsed(page_at, page_certificate, page_key, no_token=no_token)
@@ -58,8 +58,8 @@ def view(
 
 
 async def _serve(hub: RecordingHub, address: Address, duration_s: float, avatar: bytes) -> None:
-    from devices.outlets.page.metrics import openmetrics
-    from devices.outlets.page.serving import PageServer, tls_context
+    from kinegraph.devices.page.metrics import openmetrics
+    from kinegraph.devices.page.serving import PageServer, tls_context
 
     def metrics() -> str:
         return openmetrics(hub.recording.path.name, hub.metrics(), len(hub.clients), 0)

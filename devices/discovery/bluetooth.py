@@ -5,24 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 
-from devices.ble.radio import advertising, uuid
-from devices.discovery.found import FoundDevice
-from devices.protocols import ftms, ganglion, heart_rate, movella_dot
-from stream.errors import DeviceError
+from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.dot import protocol as movella_dot
+from kinegraph.devices.fitness_treadmill import protocol as ftms
+from kinegraph.devices.ganglion import protocol as ganglion
+from kinegraph.devices.heart_rate import protocol as heart_rate
+from kinegraph.devices.transport.ble_radio import advertising, uuid
+from kinegraph.stream.errors import DeviceError
 
 SCAN_S = 4.0
 NAMES: tuple[tuple[str, str, str], ...] = (
-    ("Polar", "Polar sensor", "use: devices.ble.polar.Polar"),
-    *((name, "Movella DOT", "use: devices.ble.dot.MovellaDot") for name in movella_dot.NAMES),
-    ("Ganglion", "OpenBCI Ganglion", "use: devices.ble.ganglion.Ganglion"),
-    ("Simblee", "OpenBCI Ganglion", "use: devices.ble.ganglion.Ganglion"),
+    ("Polar", "Polar sensor", "use: devices.polar.Polar"),
+    *((name, "Movella DOT", "use: devices.dot.MovellaDot") for name in movella_dot.NAMES),
+    ("Ganglion", "OpenBCI Ganglion", "use: devices.ganglion.Ganglion"),
+    ("Simblee", "OpenBCI Ganglion", "use: devices.ganglion.Ganglion"),
 )
-WIT = "use: devices.binary.Binary\nport: {port}\nframes: ...   # as in configs/witmotion_ble.yaml"
+WIT = "use: devices.frames.Binary\nport: {port}\nframes: ...   # as in configs/witmotion_ble.yaml"
 """By how a name begins: what it is, and the node."""
 SERVICES: tuple[tuple[str, str, str], ...] = (
-    (ftms.SERVICE, "a fitness machine; if it is a treadmill:", "use: devices.ble.treadmill.FtmsTreadmill"),
-    (ganglion.SERVICE, "OpenBCI Ganglion", "use: devices.ble.ganglion.Ganglion"),
-    (heart_rate.SERVICE, "a heart rate sensor", "use: devices.ble.heart_rate.HeartRate"),
+    (ftms.SERVICE, "a fitness machine; if it is a treadmill:", "use: devices.fitness_treadmill.FtmsTreadmill"),
+    (ganglion.SERVICE, "OpenBCI Ganglion", "use: devices.ganglion.Ganglion"),
+    (heart_rate.SERVICE, "a heart rate sensor", "use: devices.heart_rate.HeartRate"),
 )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from devices.discovery.found import FoundDevice
+from kinegraph.devices.discovery.found import FoundDevice
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,9 +19,9 @@ class KnownAdapter:
 
 
 CYTON = "use: devices.cyton.Cyton\nport: {port}"
-LINES = "use: devices.ascii_lines.AsciiLines\nport: {port}\ncolumns: [micros, emg]\ntime: micros"
+LINES = "use: devices.lines.AsciiLines\nport: {port}\ncolumns: [micros, emg]\ntime: micros"
 MTI = "use: devices.mti.Mti\nport: {port}"
-DECLARED = "use: devices.binary.Binary\nport: {port}\nframes: ...   # as in configs/witmotion.yaml"
+DECLARED = "use: devices.frames.Binary\nport: {port}\nframes: ...   # as in configs/witmotion.yaml"
 
 BLUETOOTH = KnownAdapter(
     "a Bluetooth device bound to this port: a BITalino, or a Shimmer3",

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from devices.discovery.found import FoundDevice
-from devices.usb.bus import UsbAddress, backends, connected, rule, text_of
+from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.transport.usb_bus import UsbAddress, backends, connected, rule, text_of
 
 MTI = "use: devices.mti.Mti\nport: {port}"
 DUALSENSE = (

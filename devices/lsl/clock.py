@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from devices.clocks.device_clock import ClockState
-from stream.chunk import NS
+from kinegraph.devices.clocks.device_clock import ClockState
+from kinegraph.stream.chunk import NS
 
 TRIES = 5
 JUMP_S = 0.5

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from devices.lsl.find import Wanted
-from devices.lsl.metadata import TEXT, Described, describe
-from stream.chunk import Array, Samples
-from stream.errors import DeviceError
-from stream.source import Feed
+from kinegraph.devices.lsl.find import Wanted
+from kinegraph.devices.lsl.metadata import TEXT, Described, describe
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.source import Feed
 
 OPEN_S = 5.0
 """How long an outlet may take to answer."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from stream.errors import DeviceError
+from kinegraph.stream.errors import DeviceError
 
 STEP_S = 0.02
 SETTLE_S = 0.75

@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from devices.clocks.timing import timing_spec
-from devices.lsl.connection import Connection, opened
-from devices.lsl.find import Wanted, find
-from devices.lsl.metadata import TEXT, describe, differences, marker_spec, signal_spec
-from devices.lsl.network import ANY, Network, library
-from devices.lsl.pull import Pull
-from stream.chunk import Specs, StreamSpec
-from stream.errors import DeviceError, ParameterError
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.devices.clocks.timing import timing_spec
+from kinegraph.devices.lsl.connection import Connection, opened
+from kinegraph.devices.lsl.find import Wanted, find
+from kinegraph.devices.lsl.metadata import TEXT, describe, differences, marker_spec, signal_spec
+from kinegraph.devices.lsl.network import ANY, Network, library
+from kinegraph.devices.lsl.pull import Pull
+from kinegraph.stream.chunk import Specs, StreamSpec
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 
 class _Probing(Source):

@@ -7,9 +7,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from devices.files.xdf_read import UNITS
-from stream.chunk import StreamSpec
-from stream.errors import DeviceError
+from kinegraph.devices.formats.xdf.reader import UNITS
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import DeviceError
 
 TEXT = "string"
 

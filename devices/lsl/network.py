@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from stream.errors import DeviceError
-from stream.params import param
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.params import param
 
 VARIABLE = "KINEGRAPH_LSL"
 """Settings for nodes that state none: "machine", or "machine:SESSION"."""

@@ -7,15 +7,15 @@ import time
 import numpy as np
 import structlog
 
-from devices.clocks.clock_log import ClockLog
-from devices.clocks.timing import timing_chunk
-from devices.lsl.clock import SenderClock, zero_ns
-from devices.lsl.connection import Connection
-from devices.lsl.find import is_there
-from devices.lsl.stamps import LslStamps, Mapped
-from stream.chunk import NS, Array, Chunk, Samples, StreamSpec
-from stream.errors import DeviceError
-from stream.source import Feed
+from kinegraph.devices.clocks.clock_log import ClockLog
+from kinegraph.devices.clocks.timing import timing_chunk
+from kinegraph.devices.lsl.clock import SenderClock, zero_ns
+from kinegraph.devices.lsl.connection import Connection
+from kinegraph.devices.lsl.find import is_there
+from kinegraph.devices.lsl.stamps import LslStamps, Mapped
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.source import Feed
 
 CORRECT_S = 1.0
 """How often the clocks' offset is asked for; LSL measures it every five seconds."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stream.chunk import NS, Samples, Times
+from kinegraph.stream.chunk import NS, Samples, Times
 
 SLEW = 1e-3
 """A new estimate of the sender's clock is taken over at this share of the pace of time, so that no stamp leaps."""

@@ -1,5 +1,6 @@
-"""MQTT: the connection to a broker, and a switch of the home that comes into the graph by `MqttSwitch`."""
+"""MQTT: streams of a graph as entities of a home (`MqttOutlet`), and a switch of the home that comes into the graph (`MqttSwitch`)."""
 
-from devices.mqtt.switch import MqttSwitch
+from kinegraph.devices.mqtt.outlet import MqttOutlet
+from kinegraph.devices.mqtt.switch import MqttSwitch
 
-__all__ = ["MqttSwitch"]
+__all__ = ["MqttOutlet", "MqttSwitch"]

@@ -16,9 +16,9 @@ import structlog
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from devices.mqtt.bounded_client import BoundedClient
-from stream.errors import ParameterError
-from stream.params import param
+from kinegraph.devices.mqtt.bounded_client import BoundedClient
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.params import param
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 KEEPALIVE_S = 30

@@ -12,11 +12,11 @@ from typing import ClassVar
 import numpy as np
 import structlog
 
-from devices.mqtt.link import Broker, BrokerConnection
-from devices.outlets.mqtt.discovery import OFF, ON, Device, Topics, switch
-from stream.chunk import Chunk, Specs, StreamSpec, empty
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.devices.mqtt.discovery import OFF, ON, Device, Topics, switch
+from kinegraph.devices.mqtt.link import Broker, BrokerConnection
+from kinegraph.stream.chunk import Chunk, Specs, StreamSpec, empty
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 log = structlog.get_logger(__name__)
 

@@ -1,5 +1,5 @@
 """Depth cameras of Luxonis (OAK), through their library depthai, version 3 (the extra `oak`)."""
 
-from devices.oak.source import Oak
+from kinegraph.devices.oak.source import Oak
 
 __all__ = ["Oak"]

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from devices.clocks.stamps import Losses, chunks
-from devices.oak.library import ns
-from stream.chunk import Array, Chunk, StreamSpec
-from stream.errors import DeviceError
+from kinegraph.devices.clocks.stamps import Losses, chunks
+from kinegraph.devices.oak.library import ns
+from kinegraph.stream.chunk import Array, Chunk, StreamSpec
+from kinegraph.stream.errors import DeviceError
 
 EARLY_NS = 50_000_000
 LATE_NS = 30_000_000_000

@@ -12,8 +12,8 @@ import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from devices.oak.keypoint_sets import SETS
-from stream.errors import ParameterError
+from kinegraph.devices.oak.keypoint_sets import SETS
+from kinegraph.stream.errors import ParameterError
 
 CONFIG = "config.json"
 MOST_BYTES = 1 << 20

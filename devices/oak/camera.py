@@ -8,8 +8,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from devices.oak.library import all_cameras, not_opened
-from devices.oak.network import WantedNetwork, on_camera
+from kinegraph.devices.oak.library import all_cameras, not_opened
+from kinegraph.devices.oak.network import WantedNetwork, on_camera
 
 QUEUE = 8
 """Messages that wait for us at most; then the oldest is dropped, which shows as a leap of the frames' numbers."""

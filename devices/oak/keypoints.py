@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from devices.oak.keypoint_sets import INSIDE_M, MARKERS, SETS
-from devices.oak.library import ns
-from stream.chunk import NS, Chunk, Samples
-from stream.errors import DeviceError
+from kinegraph.devices.oak.keypoint_sets import INSIDE_M, MARKERS, SETS
+from kinegraph.devices.oak.library import ns
+from kinegraph.stream.chunk import NS, Chunk, Samples
+from kinegraph.stream.errors import DeviceError
 
 NOSE_TO_MIDDLE_M = 0.10
 """From the nose to the middle of the head, where neither ear is seen."""

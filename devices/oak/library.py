@@ -7,9 +7,9 @@ from collections.abc import Callable
 from datetime import timedelta
 from typing import Any
 
-from devices.usb.bus import UsbAddress, rule
-from stream.errors import DeviceError
-from stream.optional import optional
+from kinegraph.devices.transport.usb_bus import UsbAddress, rule
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.system.extras import optional
 
 VENDOR = 0x03E7
 """Intel Movidius: the chip in every OAK with USB."""

@@ -11,20 +11,20 @@ from typing import Any, Literal
 import numpy as np
 import structlog
 
-from devices.cameras.intrinsics import lens
-from devices.clocks.timing import timing_chunk, timing_spec
-from devices.oak.adapter import Frames, ImuPackets, image_of, message_of
-from devices.oak.archive import pose_archive
-from devices.oak.camera import Camera, CameraLink, opened
-from devices.oak.keypoint_sets import MARKERS
-from devices.oak.keypoints import Keypoints, sight_of
-from devices.oak.library import library, zero_ns
-from devices.oak.network import apart_s
-from stream.axes import CAMERA
-from stream.chunk import NS, Specs, StreamSpec
-from stream.errors import DeviceError, ParameterError
-from stream.params import param
-from stream.source import Feed, Source, outputs_by_parameters
+from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
+from kinegraph.devices.oak.adapter import Frames, ImuPackets, image_of, message_of
+from kinegraph.devices.oak.archive import pose_archive
+from kinegraph.devices.oak.camera import Camera, CameraLink, opened
+from kinegraph.devices.oak.keypoint_sets import MARKERS
+from kinegraph.devices.oak.keypoints import Keypoints, sight_of
+from kinegraph.devices.oak.library import library, zero_ns
+from kinegraph.devices.oak.network import apart_s
+from kinegraph.stream.chunk import NS, Specs, StreamSpec
+from kinegraph.stream.domain.axes import CAMERA
+from kinegraph.stream.domain.intrinsics import lens
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source, outputs_by_parameters
 
 FIRST_FRAME_S = 20.0
 """How long a camera may take from being opened to its first frame: its program is sent to it first."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import structlog
 
-from stream.complete import PRIVATE
-from stream.errors import DeviceError
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.system.atomic_file import PRIVATE
 
 RETRY_S = 1.0
 PENDING_BYTES = 8 << 20

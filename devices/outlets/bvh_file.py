@@ -8,14 +8,14 @@ from typing import BinaryIO, ClassVar
 
 import numpy as np
 
-from devices.files.bvh_write import COUNT, bvh_head, bvh_rows
-from devices.outlets.claim import check_path
-from stream.chunk import Chunk, Samples, Specs
-from stream.complete import private_folder
-from stream.errors import DeviceError, InputError, ParameterError
-from stream.joint_tree import JointTree
-from stream.outlet import Outlet
-from stream.params import param
+from kinegraph.devices.formats.bvh.writer import COUNT, bvh_head, bvh_rows
+from kinegraph.devices.outlets.output_lock import check_path
+from kinegraph.stream.chunk import Chunk, Samples, Specs
+from kinegraph.stream.domain.skeleton import JointTree
+from kinegraph.stream.errors import DeviceError, InputError, ParameterError
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
+from kinegraph.stream.system.atomic_file import private_folder
 
 MOST_REPEATED = 3000
 """A gap of more frames is not filled."""

@@ -11,14 +11,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from filelock import FileLock
 
-from devices.outlets.append_file import AppendFile
-from devices.outlets.claim import check_path, claim, free_name, let_go
-from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times, add_lost
-from stream.errors import InputError, ParameterError
-from stream.outlet import Outlet
-from stream.params import param
-from stream.sheet import Sheet, row_of
-from stream.state import pack
+from kinegraph.devices.outlets.append_file import AppendFile
+from kinegraph.devices.outlets.output_lock import check_path, claim, free_name, let_go
+from kinegraph.stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times, add_lost
+from kinegraph.stream.data.csv_writer import Sheet, row_of
+from kinegraph.stream.data.state import pack
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
 
 MOST_COLUMNS = 4096
 UNKNOWN = -1

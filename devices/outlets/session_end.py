@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import structlog
 
-from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs
-from stream.errors import InputError, ParameterError
-from stream.outlet import Outlet
-from stream.params import param
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
 
 log = structlog.get_logger(__name__)
 
@@ -34,10 +34,10 @@ class SessionEndRuntime:
 class SessionEnd(Outlet[SessionEndState, SessionEndRuntime]):
     """Events in; the session ends with one of them, in order, as by Ctrl-C: what has arrived is worked through, the recording closed.
 
-    in       events: pulses of a trigger (`operators.threshold.Threshold` on a TTL channel, markers from LSL), or any others
+    in       events: pulses of a trigger (`operators.filters.threshold.Threshold` on a TTL channel, markers from LSL), or any others
 
     With `text`, only markers of that text count. With `after_s` it goes on for so long after that event, for what looks ahead (`tail_s` of
-    `operators.gate.Gate`). A replay ends with its recording.
+    `operators.timing.gate.Gate`). A replay ends with its recording.
     """
 
     pulse: int = param(2, least=1, help="the how-manieth pulse ends it: 2 where the first one starts")
@@ -47,7 +47,9 @@ class SessionEnd(Outlet[SessionEndState, SessionEndRuntime]):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         if not spec.is_event:
-            raise InputError("in", spec.describe(), "events; operators.threshold.Threshold makes them of a signal")
+            raise InputError(
+                "in", spec.describe(), "events; operators.filters.threshold.Threshold makes them of a signal"
+            )
         if self.text and "text" not in (spec.dtype.names or ()):
             raise ParameterError("text", self.text, "left out: these events have no field `text`")
         self.hold(SessionEndState(0, NEVER), SessionEndRuntime())

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from devices.synthesis.plan_kernel import nearest_ahead
-from stream.chunk import Array, Samples
-from stream.motion_graph import MotionGraph
+from kinegraph.devices.synthesis.plan_kernel import nearest_ahead
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.domain.motion_graph import MotionGraph
 
 ARRIVED_M = 0.5
 """So near to a target, or to the end of a path, is there."""

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from stream.chunk import Array, Samples, Times
-from stream.joint_tree import multiply, place_joints, turn
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.domain.skeleton import multiply, place_joints, turn
+from kinegraph.stream.kernel import kernel
 
 REACH = 0.999
 """A leg is stretched to at most this share of its length."""

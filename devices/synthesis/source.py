@@ -9,15 +9,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from devices.synthesis.aims import Aim
-from devices.synthesis.blend_kernel import blended
-from devices.synthesis.walker import GraphWalk
-from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
-from stream.errors import ParameterError, nearest
-from stream.humanoid import BONES
-from stream.motion_graph import MotionGraph
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.devices.synthesis.aims import Aim
+from kinegraph.devices.synthesis.blend_kernel import blended
+from kinegraph.devices.synthesis.walker import GraphWalk
+from kinegraph.stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.motion_graph import MotionGraph
+from kinegraph.stream.errors import ParameterError, nearest
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 NODE = np.dtype(
     [("onset", "<i8"), ("node", "<i4"), ("cluster", "<U32"), ("mirrored", "?"), ("x_m", "<f8"), ("z_m", "<f8")]

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from devices.synthesis.aims import Aim, Progress
-from devices.synthesis.blend_kernel import blended, hold_feet, placed, room_for
-from devices.synthesis.way_search import Start, WaySearch
-from stream.chunk import Samples
-from stream.errors import KinegraphError
-from stream.humanoid import BONES
-from stream.motion_graph import MotionGraph
+from kinegraph.devices.synthesis.aims import Aim, Progress
+from kinegraph.devices.synthesis.blend_kernel import blended, hold_feet, placed, room_for
+from kinegraph.devices.synthesis.way_search import Start, WaySearch
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.motion_graph import MotionGraph
+from kinegraph.stream.errors import KinegraphError
 
 LEGS = np.array(
     [[BONES.index(f"{side}{bone}") for bone in ("UpperLeg", "LowerLeg", "Foot", "Toes")] for side in ("Left", "Right")]

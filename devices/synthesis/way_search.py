@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devices.synthesis import plan_kernel as beam
-from devices.synthesis.aims import Sought
-from stream.chunk import Samples
-from stream.motion_graph import MotionGraph, edges_from
+from kinegraph.devices.synthesis import plan_kernel as beam
+from kinegraph.devices.synthesis.aims import Sought
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.motion_graph import MotionGraph, edges_from
 
 MOST = 1200
 """A frame looks at this many frames and edges at most, but for the ways on from the first node: some 0.3 ms."""

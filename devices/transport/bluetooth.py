@@ -6,10 +6,10 @@ import time
 from collections import deque
 from contextlib import suppress
 
-from devices.ble.link import BleLink
-from devices.ble.radio import uuid
-from devices.transport.closed_at_end import ClosedAtEnd
-from stream.errors import DeviceError
+from kinegraph.devices.transport.ble_link import BleLink
+from kinegraph.devices.transport.ble_radio import uuid
+from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.stream.errors import DeviceError
 
 SCHEME = "ble://"
 SCAN_S = 10.0

@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterable
 from contextlib import suppress
 
-from devices.transport.closed_at_end import ClosedAtEnd
-from stream.errors import DeviceError
+from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.stream.errors import DeviceError
 
 MOST = 65536
 BUFFER = 1 << 20

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
-from devices.transport.transport import Transport
-from stream.errors import DeviceError
-from stream.source import Feed
+from kinegraph.devices.transport.transport import Transport
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.source import Feed
 
 SHOWN = 32
 """Bytes of a wrong answer that an error shows."""

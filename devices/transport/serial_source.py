@@ -6,13 +6,13 @@ import time
 from contextlib import suppress
 from typing import Protocol
 
-from devices.clocks import line_below
-from devices.clocks.clock_log import ClockLog
-from devices.clocks.device_clock import ClockState
-from devices.transport.handshake import all_there
-from devices.transport.transport import Transport, connect, present
-from stream.errors import DeviceError
-from stream.source import Feed, Source
+from kinegraph.devices.clocks import line_below
+from kinegraph.devices.clocks.clock_log import ClockLog
+from kinegraph.devices.clocks.device_clock import ClockState
+from kinegraph.devices.transport.handshake import all_there
+from kinegraph.devices.transport.transport import Transport, connect, present
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.source import Feed, Source
 
 READ_S = 0.1
 STALL_S = 0.1

@@ -14,8 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol, Self
 
-from devices.transport.closed_at_end import ClosedAtEnd
-from stream.errors import DeviceError
+from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.stream.errors import DeviceError
 
 MOST = 65536
 """Bytes taken in one read."""
@@ -49,19 +49,19 @@ def connect(address: str, baud: int = 115200) -> Transport:
     if address.startswith("tcp://"):
         return TcpTransport(address)
     if address.startswith("udp://"):
-        from devices.transport.datagrams import UdpTransport
+        from kinegraph.devices.transport.datagrams import UdpTransport
 
         return UdpTransport(address)
     if address.startswith("ble://"):
-        from devices.transport.bluetooth import BleTransport
+        from kinegraph.devices.transport.bluetooth import BleTransport
 
         return BleTransport(address)
     if address.startswith("zmq+"):
-        from devices.transport.zeromq import ZeroMqTransport
+        from kinegraph.devices.transport.zeromq import ZeroMqTransport
 
         return ZeroMqTransport(address)
     if address.startswith("usb://"):
-        from devices.usb.pipe import Pipe
+        from kinegraph.devices.transport.usb_pipe import Pipe
 
         return Pipe(address)
     return SerialTransport(address, baud)

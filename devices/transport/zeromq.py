@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from devices.transport.closed_at_end import ClosedAtEnd
-from stream.errors import DeviceError
-from stream.optional import optional
+from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.system.extras import optional
 
 SCHEME = "zmq+"
 MOST_WAITING = 10_000

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from devices.binary import Binary
-from devices.frame_reading import FrameReading
-from devices.protocols.frame_layout import FrameLayout
-from devices.protocols.packet_decoder import PacketDecoder
-from devices.transport.serial_source import READ_S
-from devices.transport.transport import Transport
-from devices.usb.bus import UsbAddress
-from devices.usb.pipe import Pipe
-from stream.errors import DeviceError, ParameterError
-from stream.params import param
-from stream.source import Feed
+from kinegraph.devices.frames.layout import FrameLayout
+from kinegraph.devices.frames.packet_decoder import PacketDecoder
+from kinegraph.devices.frames.reading import FrameReading
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.transport.serial_source import READ_S
+from kinegraph.devices.transport.transport import Transport
+from kinegraph.devices.transport.usb_bus import UsbAddress
+from kinegraph.devices.transport.usb_pipe import Pipe
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed
 
 
 @dataclass(frozen=True, slots=True)
 class Endpoint(Binary):
-    """A USB device whose reports the graph declares, as `devices.binary.Binary` does frames: each transfer is one.
+    """A USB device whose reports the graph declares, as `devices.frames.Binary` does frames: each transfer is one.
 
     NAME     (channels,) float64: the data fields of the report of that name, in their units; an output for each report with data
     timing   an event per report: its counter, the device's time, arrival, stamp
@@ -27,7 +27,7 @@ class Endpoint(Binary):
     `port` is usb://VENDOR:PRODUCT; `sync` is what a report begins with (its id; left empty, every transfer that is long enough
     is a report), and what is behind the last field is passed over. The
     system's own driver is detached while the source reads. `start` and `stop` are written to the interface's other endpoint. A device that
-    sends a stream of bytes over USB, cut into transfers anywhere, is read by `devices.binary.Binary` with the same `port`.
+    sends a stream of bytes over USB, cut into transfers anywhere, is read by `devices.frames.Binary` with the same `port`.
     """
 
     interface: int | None = param(

@@ -17,10 +17,10 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from stream.commands.parts import accepted, shown
-from stream.graph.parts import catalogue, kind_of
-from stream.operator import Operator
-from stream.params import schema
+from kinegraph.stream.cli.commands.parts import accepted, shown
+from kinegraph.stream.graph.components import catalogue, kind_of
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.params import schema
 
 HOUSE = Path(__file__).resolve().parents[2]
 ROOT = {"index.md": "README.md", **{f"{n}.md": f"{n}.md" for n in ("CHANGELOG", "CONTRIBUTING", "SECURITY")}}
@@ -194,7 +194,7 @@ def _commands() -> str:
     """What `--help` prints, of every command."""
     import typer
 
-    from stream import cli
+    from kinegraph.stream.cli import main as cli
 
     os.environ["COLUMNS"] = "110"
     told = ["# Commands\n", f"```text\n{cli.overview()}\n```\n"]

@@ -11,15 +11,15 @@ import numpy as np
 import structlog
 from numpy.typing import NDArray
 
-from operators.body.background_kernel import cut_out
-from operators.body.camera_moved import disagreement, floors_of, people_cut_out, stand_on
-from operators.body.floor import FLOOR, floor_of
-from operators.body.names import camera_of
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
-from stream.errors import InputError
-from stream.operator import Case, Operator, grid
-from stream.params import param
-from stream.require import regular
+from kinegraph.operators.body.background_kernel import cut_out
+from kinegraph.operators.body.camera_moved import disagreement, floors_of, people_cut_out, stand_on
+from kinegraph.operators.body.floor import FLOOR, floor_of
+from kinegraph.operators.body.names import camera_of
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.data.require import regular
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 log = structlog.get_logger(__name__)
 

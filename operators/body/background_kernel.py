@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.kernel import kernel
+from kinegraph.stream.kernel import kernel
 
 FAR = 5
 """Frames in a row that a pixel must be farther than its background until that is its background."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.body.names import MARKERS
-from stream.chunk import Samples
+from kinegraph.operators.body.names import MARKERS
+from kinegraph.stream.chunk import Samples
 
 BONES = (
     ("shoulder", "elbow", 0.30, ("elbow", "wrist")), ("shoulder", "wrist", 0.50, ("wrist",)), ("elbow", "wrist", 0.27, ("wrist",)),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.body.components import components
-from operators.body.floor import NEAR_M, floor_of
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.operators.body.components import components
+from kinegraph.operators.body.floor import NEAR_M, floor_of
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 APART_MM = 120.0
 """Pixels side by side whose depths differ by more are not one thing, as operators.body.persons.Persons has it."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 
 @kernel(nogil=True)

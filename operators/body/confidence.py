@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 ASKED_HZ = 30.0
 """Leaps from frame to frame are those at this rate."""

@@ -8,7 +8,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Array, Samples
+from kinegraph.stream.chunk import Array, Samples
 
 ENDS = ("head", "left hand", "right hand", "left foot", "right foot")
 USUAL = np.array([(0.0, 0.72), (0.35, 0.1), (-0.35, 0.1), (0.12, -0.85), (-0.12, -0.85)])

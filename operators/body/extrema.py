@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.body.bones import possible
-from operators.body.ends import (
+from kinegraph.operators.body.bones import possible
+from kinegraph.operators.body.ends import (
     CUT_M,
     ENDS,
     MOST_ENDS,
@@ -23,8 +23,8 @@ from operators.body.ends import (
     head_cut_off,
     outside,
 )
-from operators.body.facing import CELLS, facing_of, shape_of, weights
-from operators.body.geodesic_kernel import (
+from kinegraph.operators.body.facing import CELLS, facing_of, shape_of, weights
+from kinegraph.operators.body.geodesic_kernel import (
     area_around,
     extrema_of,
     middle_of,
@@ -33,12 +33,12 @@ from operators.body.geodesic_kernel import (
     surface_of,
     walk_back,
 )
-from operators.body.names import MARKERS, camera_of, markers_specs
-from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
-from stream.errors import InputError
-from stream.filter import reset_gap
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.body.names import MARKERS, camera_of, markers_specs
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 JOINTS = (
     ((0.10, "head", 0.09),),

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Samples
-from stream.kernel import kernel
-from stream.model import read_model
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.data.model_file import read_model
+from kinegraph.stream.kernel import kernel
 
 CELLS = 24
 """The person's square is cut into this many cells along a side."""

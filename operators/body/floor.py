@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Array, Samples
+from kinegraph.stream.chunk import Array, Samples
 
 FLOOR = np.dtype([("onset", "<i8"), ("normal", "<f8", (3,)), ("height_m", "<f8"), ("share", "<f8")])
 """Since `onset` the floor lies at the points p (m, camera's axes) with p . normal = -height_m; `share` of the background is on it."""

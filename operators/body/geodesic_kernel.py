@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Samples, Times
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.kernel import kernel
 
 ACROSS, FARTHEST_ACROSS_M = 3, 0.6
 """A piece that is cut off is joined to what lies at most this many pixels beside it, and at most this far away (m)."""

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 LIMBS = np.array([11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28])
 LEGS = np.arange(25, 33)

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from operators.body.left_right import LEGS, exchange_legs
-from operators.body.placing import placed
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.operators.body.left_right import LEGS, exchange_legs
+from kinegraph.operators.body.placing import placed
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 SHOULDERS, HIPS, KNEES, ANKLES = 11, 23, 25, 27
 """The left one of each; the right one is the next."""

@@ -8,16 +8,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.body.confidence import trusted
-from operators.body.left_right import SURE, unturned
-from operators.body.legs import own_legs
-from operators.body.names import MARKERS, OTHER_SIDE, SEEN, SIDED, TAKEN, camera_of, markers_specs
-from operators.body.placing import INSIDE, LENGTHS
-from stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
-from stream.errors import InputError
-from stream.filter import reset_gap
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.body.confidence import trusted
+from kinegraph.operators.body.left_right import SURE, unturned
+from kinegraph.operators.body.legs import own_legs
+from kinegraph.operators.body.names import MARKERS, OTHER_SIDE, SEEN, SIDED, TAKEN, camera_of, markers_specs
+from kinegraph.operators.body.placing import INSIDE, LENGTHS
+from kinegraph.stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 
 @dataclass(slots=True)
@@ -42,7 +42,7 @@ class MarkersState:
 
 @dataclass(frozen=True, slots=True)
 class Markers(Operator[MarkersState]):
-    """What a frame shows of a person (operators.body.pose_network.PoseNetwork) in, 20 markers in metres out.
+    """What a frame shows of a person (operators.body.network.PoseNetwork) in, 20 markers in metres out.
 
     out         (20, 3)  x right, y down, z away from the camera; NaN where a marker is not known
     confidence  (20,)    0 to 1; below `least` a marker is NaN
@@ -68,7 +68,7 @@ class Markers(Operator[MarkersState]):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         if spec.dtype != SEEN:
-            raise InputError("in", spec.describe(), "what operators.body.pose_network.PoseNetwork gives")
+            raise InputError("in", spec.describe(), "what operators.body.network.PoseNetwork gives")
         camera = camera_of(spec)
         if camera is None:
             raise InputError("in", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from stream.axes import CAMERA
-from stream.chunk import StreamSpec
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.domain.axes import CAMERA
 
 LANDMARKS = (
     "nose", "left_eye_inner", "left_eye", "left_eye_outer", "right_eye_inner", "right_eye", "right_eye_outer", "left_ear", "right_ear",

@@ -9,12 +9,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.body.components import ahead_at_border, components, leaps, measure, only, overlaps, share_out
-from operators.body.names import camera_of
-from stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
-from stream.errors import InputError
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.body.components import ahead_at_border, components, leaps, measure, only, overlaps, share_out
+from kinegraph.operators.body.names import camera_of
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 PERSON = np.dtype(
     [("onset", "<i8"), ("person", "<i8"), ("box", "<i8", (4,)), ("pixels", "<i8"), ("place", "<f8", (3,))]

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 INSIDE = np.full(34, 0.03)
 INSIDE[[0, 7, 8, 11, 12, 13, 14, 15, 16]] = 0.02, 0.07, 0.07, 0.055, 0.055, 0.035, 0.035, 0.025, 0.025

@@ -12,10 +12,10 @@ from typing import Annotated
 
 import typer
 
-from operators.body.network import FILE, SHA256, default_model
-from stream.complete import private_folder, write_complete
-from stream.errors import KinegraphError
-from stream.plain import say
+from kinegraph.operators.body.network.blazepose import FILE, SHA256, default_model
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.atomic_file import private_folder, write_complete
+from kinegraph.stream.text.safe_text import say
 
 PACKAGE = "https://registry.npmjs.org/@mediapipe/pose/-/pose-0.5.1675469404.tgz"
 PACKAGE_BYTES = 64 << 20
@@ -39,7 +39,7 @@ def pose_model(
         str, typer.Option("--package", metavar="FILE.tgz", help="the package, if it was downloaded otherwise")
     ] = "",
 ) -> None:
-    """Download BlazePose (Apache-2.0; 41 MB, of which 6 are kept) for operators.body.pose_network.PoseNetwork, and check it."""
+    """Download BlazePose (Apache-2.0; 41 MB, of which 6 are kept) for operators.body.network.PoseNetwork, and check it."""
     path = default_model()
     if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == SHA256:
         say(f"{path} already exists")

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stream.errors import KinegraphError
+from kinegraph.stream.errors import KinegraphError
 
 
 def marker_file(path: Path, meaning: str) -> dict[str, Any]:
     """What the file says; `markers` is a mapping, of what says `meaning`. Raises KinegraphError, with the file and what is wrong."""
-    from stream.graph.yaml_lines import parse
+    from kinegraph.stream.graph.reading.yaml_lines import parse
 
     try:
         said = parse(path.read_text(encoding="utf-8"), str(path)).plain()

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import typer
 
-from stream.entry import usable
+from kinegraph.stream.system.entry_points import usable
 
 train = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True)
 

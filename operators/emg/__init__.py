@@ -1,5 +1,5 @@
 """Muscle activity: the envelope, its amplitude reference, and what an electrode's signal is worth (thesis, chapter 6)."""
 
-from operators.emg.envelope import Envelope
+from kinegraph.operators.emg.envelope import Envelope
 
 __all__ = ["Envelope"]

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import Samples, StreamSpec
-from stream.errors import KinegraphError, nearest
-from stream.json_file import read_json, write_json
-from stream.params import adapter
+from kinegraph.stream.chunk import Samples, StreamSpec
+from kinegraph.stream.data.json_file import read_json, write_json
+from kinegraph.stream.errors import KinegraphError, nearest
+from kinegraph.stream.params import adapter
 
 FORMAT = "kinegraph amplitude reference 1"
 METHODS = {

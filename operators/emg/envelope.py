@@ -8,17 +8,17 @@ from typing import Literal
 
 import numpy as np
 
-from operators.emg.envelope_kernel import envelope, gap, stamp
-from operators.emg.one_kind import refuse_mixed
-from operators.emg.zero_phase import antialias_phases, highpass_reach, lowpass_phases
-from operators.iir import butterworth, steady_memory
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import ParameterError
-from stream.filter import reset_gap
-from stream.operator import Case, Emitted, Operator, grid
-from stream.params import param
-from stream.remembered import remembered
-from stream.require import regular_signal
+from kinegraph.operators.emg.envelope_kernel import envelope, gap, stamp
+from kinegraph.operators.emg.one_kind import refuse_mixed
+from kinegraph.operators.emg.zero_phase import antialias_phases, highpass_reach, lowpass_phases
+from kinegraph.operators.filters.iir import butterworth, steady_memory
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.design_cache import remembered
+from kinegraph.stream.data.require import regular_signal
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.params import param
 
 BLOCK_S = 0.02
 """How much is filtered backwards at a time: twice as much costs 20 ms of look-ahead and saves a third of the work."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from stream.chunk import Array, Samples, Times
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.kernel import kernel
 
 
 @kernel

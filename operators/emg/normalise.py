@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from operators.emg.amplitude_reference import METHODS, AmplitudeReference, CalibrationError
-from stream.chunk import Chunk, Samples, Specs, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.emg.amplitude_reference import METHODS, AmplitudeReference, CalibrationError
+from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 
 @dataclass(slots=True)

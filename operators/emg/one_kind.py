@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stream.chunk import StreamSpec
-from stream.errors import InputError
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError
 
 VOLTAGES = ("V", "mV", "uV")
 

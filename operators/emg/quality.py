@@ -8,15 +8,15 @@ from typing import Literal
 
 import numpy as np
 
-from operators.emg.amplitude_reference import AmplitudeReference
-from operators.emg.one_kind import refuse_mixed
-from operators.emg.quality_kernel import powers, runs
-from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError
-from stream.filter import reset_gap
-from stream.operator import Case, Operator, grid
-from stream.params import param
-from stream.require import regular_signal
+from kinegraph.operators.emg.amplitude_reference import AmplitudeReference
+from kinegraph.operators.emg.one_kind import refuse_mixed
+from kinegraph.operators.emg.quality_kernel import powers, runs
+from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.require import regular_signal
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 QUALITY = np.dtype(
     [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from stream.chunk import Array, Samples
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.kernel import kernel
 
 LEVELS = 32
 """A window whose range spans fewer of its smallest steps is too coarse to tell clipping by."""

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from stream.chunk import Samples
-from stream.remembered import remembered
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.data.design_cache import remembered
 
 TAIL = 1e-3
 """The response is cut off where all that follows stays below this part of its largest tap."""

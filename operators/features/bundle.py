@@ -8,17 +8,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.features.bundle_kernel import bundle_frames
-from operators.features.stack import pieces
-from operators.inputs.continuity import Continuity, watch
-from operators.neighbours.index import LIMITS
-from operators.neighbours.layout import IndexState, allocate, clear
-from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError
-from stream.filter import reset_gap
-from stream.operator import Case, Emitted, Operator, grid
-from stream.params import param
-from stream.require import numeric, regular, samples_in
+from kinegraph.operators.features.bundle_kernel import bundle_frames
+from kinegraph.operators.features.stack import pieces
+from kinegraph.operators.inputs.continuity import Continuity, watch
+from kinegraph.operators.neighbours.index import LIMITS
+from kinegraph.operators.neighbours.layout import IndexState, allocate, clear
+from kinegraph.stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.require import numeric, regular, samples_in
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.params import param
 
 APART = 4
 """Frames further apart than this many periods are not neighbours in time."""

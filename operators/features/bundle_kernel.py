@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 
-from operators.features.eigen import symmetric_eigen
-from operators.neighbours.bare import bare_index
-from operators.neighbours.candidates import NOTHING
-from operators.neighbours.layout import LANES, BareIndex, Floats
-from operators.neighbours.search import search
-from operators.neighbours.window import insert, prepare, slot_of, tile_at
-from stream.chunk import Samples, Times
-from stream.finite import finite
-from stream.kernel import kernel
+from kinegraph.operators.features.eigen import symmetric_eigen
+from kinegraph.operators.neighbours.bare import bare_index
+from kinegraph.operators.neighbours.candidates import NOTHING
+from kinegraph.operators.neighbours.layout import LANES, BareIndex, Floats
+from kinegraph.operators.neighbours.search import search
+from kinegraph.operators.neighbours.window import insert, prepare, slot_of, tile_at
+from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.data.finite import finite
+from kinegraph.stream.kernel import kernel
 
 CLIMB = 200
 """The most steps of an ascent; some 20 are usual."""

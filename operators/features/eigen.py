@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 STEPS = 60
 """More than enough for one eigenvalue; two or three are usual."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.inputs.channels import names_of
-from stream.chunk import Samples, StreamSpec, Times
-from stream.errors import InputError, ParameterError, nearest
-from stream.filter import SampleWise
-from stream.finite import finite
-from stream.kernel import kernel
-from stream.operator import Case, grid
-from stream.params import param
+from kinegraph.operators.inputs.channels import names_of
+from kinegraph.stream.chunk import Samples, StreamSpec, Times
+from kinegraph.stream.data.finite import finite
+from kinegraph.stream.errors import InputError, ParameterError, nearest
+from kinegraph.stream.filter import SampleWise
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, grid
+from kinegraph.stream.params import param
 
 STACKED = re.compile(r"\[[+-]\d+\]$")
 

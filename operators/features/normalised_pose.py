@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.features.pose import FLAT, middle, point_names
-from operators.inputs.directions import HELP, right_handed_up
-from operators.inputs.marker_columns import marker_columns
-from stream.axes import WAYS, Axes, Up, in_axes
-from stream.chunk import Samples, StreamSpec, Times
-from stream.errors import InputError, ParameterError, nearest
-from stream.filter import SampleWise
-from stream.kernel import kernel
-from stream.operator import Case, grid
-from stream.params import param
+from kinegraph.operators.features.pose import FLAT, middle, point_names
+from kinegraph.operators.inputs.directions import HELP, right_handed_up
+from kinegraph.operators.inputs.marker_columns import marker_columns
+from kinegraph.stream.chunk import Samples, StreamSpec, Times
+from kinegraph.stream.domain.axes import WAYS, Axes, Up, in_axes
+from kinegraph.stream.errors import InputError, ParameterError, nearest
+from kinegraph.stream.filter import SampleWise
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, grid
+from kinegraph.stream.params import param
 
 
 @kernel

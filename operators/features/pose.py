@@ -9,16 +9,16 @@ from typing import Literal
 
 import numpy as np
 
-from operators.features.skeleton import SETS, find_joints, pairs
-from operators.inputs.directions import HELP, right_handed_up
-from operators.inputs.lengths import CM, length_of
-from operators.inputs.marker_columns import marker_columns
-from stream.axes import BODY, WAYS, Axes, Up, in_axes
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError
-from stream.kernel import kernel
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.features.skeleton import SETS, find_joints, pairs
+from kinegraph.operators.inputs.directions import HELP, right_handed_up
+from kinegraph.operators.inputs.lengths import CM, length_of
+from kinegraph.operators.inputs.marker_columns import marker_columns
+from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.domain.axes import BODY, WAYS, Axes, Up, in_axes
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 FLAT = 0.2
 """Where the hips' distance is horizontal by less than this share, they tell no heading."""

@@ -8,19 +8,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.extremes import moving_extreme
-from operators.features.stack import pieces
-from operators.inputs.continuity import Continuity, watch
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
-from stream.filter import reset_gap
-from stream.operator import Case, Emitted, Operator, grid
-from stream.params import param
-from stream.require import numeric, regular, samples_in
+from kinegraph.operators.features.stack import pieces
+from kinegraph.operators.filters.extremes import moving_extreme
+from kinegraph.operators.inputs.continuity import Continuity, watch
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
+from kinegraph.stream.data.require import numeric, regular, samples_in
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.params import param
 
 
 @dataclass(slots=True)
 class RestState(Continuity):
-    """Queues of the largest and of the smallest values (as in operators.extremes); samples seen, and those kept back for the next one."""
+    """Queues of the largest and of the smallest values (as in operators.filters.extremes); samples seen, and those kept
+    back for the next one."""
 
     queue: Samples
     numbers: Times

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stream.chunk import Chunk, Samples, StreamSpec, Times
-from stream.filter import Filter, FilterState, reset_gap
-from stream.finite import finite
-from stream.kernel import kernel
-from stream.operator import Case, grid
-from stream.params import param
-from stream.require import regular, width_of
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec, Times
+from kinegraph.stream.data.finite import finite
+from kinegraph.stream.data.require import regular, width_of
+from kinegraph.stream.filter import Filter, FilterState, reset_gap
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, grid
+from kinegraph.stream.params import param
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 
-from stream.errors import ParameterError, nearest
+from kinegraph.stream.errors import ParameterError, nearest
 
 SIDED: dict[str, tuple[str, ...]] = {
     "ankle": ("ankle?", "?ankle", "?ank", "?tibia", "?foot"),

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.inputs.continuity import Continuity, watch
-from stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import ParameterError
-from stream.filter import reset_gap
-from stream.finite import finite
-from stream.kernel import kernel
-from stream.operator import Case, Emitted, Operator, grid
-from stream.params import param
-from stream.require import numeric, regular
+from kinegraph.operators.inputs.continuity import Continuity, watch
+from kinegraph.stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.finite import finite
+from kinegraph.stream.data.require import numeric, regular
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.params import param
 
 MOST = 64
 FARTHEST = 10_000
@@ -100,7 +100,8 @@ class Stack(Operator[StackState]):
     causal   moves all offsets back until none reaches ahead: no delay, but the stamp is then the newest frame's, and cuts found in such
              features are some 5 points of F1 worse than with the centred ones
 
-    The offsets count frames: fill gaps first where frames are dropped (operators.gaps.FillGaps). Frames whose stack is not complete, at
+    The offsets count frames: fill gaps first where frames are dropped (operators.filters.gaps.FillGaps). Frames whose stack is not
+    complete, at
     the start, at the end and around a gap longer than `reset_gap_s`, do not come out. A bad value is NaN in every stack that holds it.
     Points (points, 3) are laid flat. `meta["stack"]` holds the offsets and the number of features, from which a radius R per single number
     becomes R sqrt(offsets x features).

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stream.chunk import Samples, StreamSpec, Times
-from stream.filter import SampleWise
-from stream.finite import finite
-from stream.kernel import kernel
-from stream.operator import Case, grid
-from stream.params import param
-from stream.require import regular, samples_in, width_of
+from kinegraph.stream.chunk import Samples, StreamSpec, Times
+from kinegraph.stream.data.finite import finite
+from kinegraph.stream.data.require import regular, samples_in, width_of
+from kinegraph.stream.filter import SampleWise
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, grid
+from kinegraph.stream.params import param
 
 QUARTILES = 1.3489795003921634
 """The distance between a normal distribution's quartiles, in standard deviations."""

@@ -8,14 +8,14 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from operators.inputs.channels import names_of
-from stream.chunk import Samples, StreamSpec
-from stream.errors import ParameterError
-from stream.filter import SampleWise
-from stream.finite import finite
-from stream.kernel import kernel
-from stream.operator import Case, grid
-from stream.params import param
+from kinegraph.operators.inputs.channels import names_of
+from kinegraph.stream.chunk import Samples, StreamSpec
+from kinegraph.stream.data.finite import finite
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.filter import SampleWise
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, grid
+from kinegraph.stream.params import param
 
 
 @kernel

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stream.chunk import StreamSpec
-from stream.errors import ParameterError, nearest
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import ParameterError, nearest
 
 
 def names_of(spec: StreamSpec) -> tuple[str, ...]:

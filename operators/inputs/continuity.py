@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, StreamSpec, Times
-from stream.require import width_of
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, StreamSpec, Times
+from kinegraph.stream.data.require import width_of
 
 
 @dataclass(slots=True)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from stream.axes import Axes, Up
-from stream.chunk import StreamSpec
-from stream.errors import InputError, ParameterError
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.domain.axes import Axes, Up
+from kinegraph.stream.errors import InputError, ParameterError
 
 HELP = "the input's axis that points up; left out: as the input declares, else"
-TURN = "in other axes: operators.turn_axes.TurnAxes turns them"
+TURN = "in other axes: operators.filters.turn_axes.TurnAxes turns them"
 
 
 def axes_of(spec: StreamSpec, up: str | None, usual: Up) -> Axes:

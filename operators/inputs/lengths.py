@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from stream.chunk import StreamSpec
-from stream.errors import InputError
-from stream.require import numeric
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.data.require import numeric
+from kinegraph.stream.errors import InputError
 
 CM = {"m": 100.0, "cm": 1.0, "mm": 0.1, "": 1.0}
 """How long a unit is in cm; positions without a unit are taken to be cm by what scales bodies, else as they are."""

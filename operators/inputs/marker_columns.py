@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from stream.chunk import StreamSpec
-from stream.errors import InputError, ParameterError, nearest
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError, nearest
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 COORDINATE = re.compile(r"(.+?)[ _.:/-]?([xyz])", re.IGNORECASE)

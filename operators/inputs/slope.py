@@ -7,9 +7,9 @@ from typing import Self
 
 import numpy as np
 
-from stream.chunk import NEVER, Samples, StreamSpec, Times
-from stream.filter import FilterState
-from stream.require import width_of
+from kinegraph.stream.chunk import NEVER, Samples, StreamSpec, Times
+from kinegraph.stream.data.require import width_of
+from kinegraph.stream.filter import FilterState
 
 
 @dataclass(slots=True, kw_only=True)

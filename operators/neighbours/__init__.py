@@ -1,6 +1,6 @@
 """Exact nearest neighbours in a sliding window of frames: `Index` for use from Python, `Neighbours` as an operator."""
 
-from operators.neighbours.index import Index
-from operators.neighbours.operator import Neighbours
+from kinegraph.operators.neighbours.index import Index
+from kinegraph.operators.neighbours.operator import Neighbours
 
 __all__ = ["Index", "Neighbours"]

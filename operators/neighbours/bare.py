@@ -20,9 +20,9 @@ from numba.extending import (
     register_model,
 )
 
-from operators.neighbours.layout import HEAD, BareIndex
-from operators.neighbours.vectors import primitive
-from stream.fingerprint import fingerprint
+from kinegraph.operators.neighbours.layout import HEAD, BareIndex
+from kinegraph.operators.neighbours.vectors import primitive
+from kinegraph.stream.compiler.fingerprint import fingerprint
 
 _int: Any = cast(Any, numba).int64
 _pointers: Any = {

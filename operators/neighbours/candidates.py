@@ -6,10 +6,18 @@ import math
 
 import numpy as np
 
-from operators.neighbours.layout import COUNTED, FARTHEST, LANES, BareIndex
-from operators.neighbours.vectors import array_of, bits_of, count_above, lowest, none_counted, number_of, store_counts
-from operators.neighbours.window import oldest
-from stream.kernel import kernel
+from kinegraph.operators.neighbours.layout import COUNTED, FARTHEST, LANES, BareIndex
+from kinegraph.operators.neighbours.vectors import (
+    array_of,
+    bits_of,
+    count_above,
+    lowest,
+    none_counted,
+    number_of,
+    store_counts,
+)
+from kinegraph.operators.neighbours.window import oldest
+from kinegraph.stream.kernel import kernel
 
 NOTHING = np.float32(-1.0)
 """A limit that no distance keeps."""

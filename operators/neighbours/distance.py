@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.neighbours.layout import FARTHEST, LANES, BareIndex, Floats
-from operators.neighbours.vectors import add_square, add_weighted, at_most, load, outside, store
-from stream.kernel import kernel
+from kinegraph.operators.neighbours.layout import FARTHEST, LANES, BareIndex, Floats
+from kinegraph.operators.neighbours.vectors import add_square, add_weighted, at_most, load, outside, store
+from kinegraph.stream.kernel import kernel
 
 AT_ONCE = 8
 """After this many features it is asked whether any lane can still qualify."""

@@ -9,14 +9,14 @@ import math
 
 import numpy as np
 
-from operators.neighbours.bare import bare_index
-from operators.neighbours.candidates import radius_squared
-from operators.neighbours.layout import BareIndex, Floats
-from operators.neighbours.search import search
-from operators.neighbours.vectors import lowest
-from operators.neighbours.window import insert, oldest, prepare, recall, slot_of
-from stream.chunk import Array, Samples, Times
-from stream.kernel import kernel
+from kinegraph.operators.neighbours.bare import bare_index
+from kinegraph.operators.neighbours.candidates import radius_squared
+from kinegraph.operators.neighbours.layout import BareIndex, Floats
+from kinegraph.operators.neighbours.search import search
+from kinegraph.operators.neighbours.vectors import lowest
+from kinegraph.operators.neighbours.window import insert, oldest, prepare, recall, slot_of
+from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.kernel import kernel
 
 
 @kernel

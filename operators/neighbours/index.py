@@ -8,11 +8,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from operators.neighbours.follow import ask_nearest, ask_within, enter, follow, slot_in, tell_within
-from operators.neighbours.layout import LANES, Floats, IndexState, allocate, clear
-from stream.chunk import Array, Samples, Times
-from stream.errors import KinegraphError
-from stream.state import pack, unpack
+from kinegraph.operators.neighbours.follow import ask_nearest, ask_within, enter, follow, slot_in, tell_within
+from kinegraph.operators.neighbours.layout import LANES, Floats, IndexState, allocate, clear
+from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.data.state import pack, unpack
+from kinegraph.stream.errors import KinegraphError
 
 Nearest: TypeAlias = tuple[Times, Floats]
 """Numbers of frames (m,) int64, and their distances (m,) float32."""

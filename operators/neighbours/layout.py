@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from stream.chunk import Times
+from kinegraph.stream.chunk import Times
 
 Floats: TypeAlias = NDArray[np.float32]
 

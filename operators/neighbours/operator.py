@@ -8,16 +8,16 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from operators.inputs.continuity import Continuity, watch
-from operators.neighbours.follow import follow_within
-from operators.neighbours.index import LIMITS, set_weights
-from operators.neighbours.layout import IndexState, allocate, clear
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, empty
-from stream.errors import InputError, ParameterError
-from stream.filter import reset_gap
-from stream.operator import Case, Operator, grid
-from stream.params import param
-from stream.require import numeric, regular, samples_in
+from kinegraph.operators.inputs.continuity import Continuity, watch
+from kinegraph.operators.neighbours.follow import follow_within
+from kinegraph.operators.neighbours.index import LIMITS, set_weights
+from kinegraph.operators.neighbours.layout import IndexState, allocate, clear
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, empty
+from kinegraph.stream.data.require import numeric, regular, samples_in
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 NEAREST = np.dtype([("frame", "<i8"), ("time", "<i8"), ("distance", "<f4")])
 WITHIN = np.dtype(

@@ -10,11 +10,11 @@ import math
 
 import numpy as np
 
-from operators.neighbours.candidates import NOTHING, gather
-from operators.neighbours.distance import four_at_most, four_distances
-from operators.neighbours.layout import FARTHEST, FOUR, GROUP, LANES, BareIndex
-from operators.neighbours.window import oldest, tile_at
-from stream.kernel import kernel
+from kinegraph.operators.neighbours.candidates import NOTHING, gather
+from kinegraph.operators.neighbours.distance import four_at_most, four_distances
+from kinegraph.operators.neighbours.layout import FARTHEST, FOUR, GROUP, LANES, BareIndex
+from kinegraph.operators.neighbours.window import oldest, tile_at
+from kinegraph.stream.kernel import kernel
 
 
 @kernel

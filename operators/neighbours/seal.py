@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 
-from operators.neighbours.layout import GROUP, LANES, NO_REACH, RANK_WORK, SPREAD_WORK, BareIndex
-from stream.kernel import kernel
+from kinegraph.operators.neighbours.layout import GROUP, LANES, NO_REACH, RANK_WORK, SPREAD_WORK, BareIndex
+from kinegraph.stream.kernel import kernel
 
 SPREAD, RANK, COPY, COVER, SWAP = range(5)
 

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.neighbours.candidates import NOTHING, gather, put_in_order
-from operators.neighbours.distance import box_distances, four_distances, lanes_at_most, tile_distances
-from operators.neighbours.layout import FARTHEST, LANES, BareIndex
-from operators.neighbours.scan import scan
-from operators.neighbours.vectors import lowest
-from operators.neighbours.window import oldest, tile_at
-from stream.chunk import Times
-from stream.kernel import kernel
+from kinegraph.operators.neighbours.candidates import NOTHING, gather, put_in_order
+from kinegraph.operators.neighbours.distance import box_distances, four_distances, lanes_at_most, tile_distances
+from kinegraph.operators.neighbours.layout import FARTHEST, LANES, BareIndex
+from kinegraph.operators.neighbours.scan import scan
+from kinegraph.operators.neighbours.vectors import lowest
+from kinegraph.operators.neighbours.window import oldest, tile_at
+from kinegraph.stream.chunk import Times
+from kinegraph.stream.kernel import kernel
 
 MOST_SURVIVE, PLAIN_FOR = 0.9, 15
 """Beyond this share of tiles that were looked into, this many queries leave the boxes aside."""

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
-from operators.neighbours.layout import LANES
+from kinegraph.operators.neighbours.layout import LANES
 
 _f32: Any = ir.FloatType()
 _i64: Any = ir.IntType(64)

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from operators.neighbours.layout import GROUP, LANES, LARGEST, BareIndex
-from operators.neighbours.seal import begin_sealing, seal_step
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.operators.neighbours.layout import GROUP, LANES, LARGEST, BareIndex
+from kinegraph.operators.neighbours.seal import begin_sealing, seal_step
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 
 @kernel

@@ -8,19 +8,19 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.features.mirror import STACKED
-from operators.inputs.channels import names_of
-from operators.inputs.continuity import watch
-from operators.segmentation.activities import ROOM, end, follow
-from operators.segmentation.layout import EVENTS, NOW, allocate
-from operators.segmentation.outputs import OUTPUTS, emitted, specs_of
-from operators.segmentation.state import SegmentState
-from stream.chunk import FOREVER, NEVER, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError
-from stream.filter import reset_gap
-from stream.operator import Case, Operator, grid
-from stream.params import param
-from stream.require import numeric, regular, samples_in
+from kinegraph.operators.features.mirror import STACKED
+from kinegraph.operators.inputs.channels import names_of
+from kinegraph.operators.inputs.continuity import watch
+from kinegraph.operators.segmentation.kernels.activities import ROOM, end, follow
+from kinegraph.operators.segmentation.kernels.layout import EVENTS, NOW, allocate
+from kinegraph.operators.segmentation.outputs import OUTPUTS, emitted, specs_of
+from kinegraph.operators.segmentation.state import SegmentState
+from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.require import numeric, regular, samples_in
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 REACH = 1.43
 """This many of the longest cycles back neighbours are looked for: it may be a sixth longer in turn, and must be the lowest lag around."""

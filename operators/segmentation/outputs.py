@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from operators.segmentation.final import SIDED, SYMMETRIC
-from operators.segmentation.layout import (
+from kinegraph.operators.segmentation.kernels.final import SIDED, SYMMETRIC
+from kinegraph.operators.segmentation.kernels.layout import (
     ACTIVITY_EVENT,
     BEGIN_EVENT,
     BELIEVED_EVENT,
@@ -21,7 +21,7 @@ from operators.segmentation.layout import (
     REST_EVENT,
     RESTING_EVENT,
 )
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 
 SPAN = [("onset", "<i8"), ("end", "<i8"), ("activity", "<i8")]
 ACTIVITY = np.dtype(

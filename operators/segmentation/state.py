@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import structlog
 
-from operators.features.mirror import STACKED
-from operators.inputs.continuity import Continuity
-from operators.segmentation.layout import FIRM, LEARN, NEXT, NOW, PRESENT, RECENT, WINDOW, Remembered
-from stream.chunk import NS, Array, Samples
+from kinegraph.operators.features.mirror import STACKED
+from kinegraph.operators.inputs.continuity import Continuity
+from kinegraph.operators.segmentation.kernels.layout import FIRM, LEARN, NEXT, NOW, PRESENT, RECENT, WINDOW, Remembered
+from kinegraph.stream.chunk import NS, Array, Samples
 
 log = structlog.get_logger(__name__)
 DOUBTFUL = 3

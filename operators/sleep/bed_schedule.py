@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-from stream.chunk import NS
-from stream.errors import ParameterError
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import ParameterError
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from stream.errors import KinegraphError
-from stream.json_file import read_json
+from kinegraph.stream.data.json_file import read_json
+from kinegraph.stream.errors import KinegraphError
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from operators.sleep.methods import ScoringRule
-from operators.sleep.rescoring import rescored, settled
-from stream.chunk import NEVER, NS, Samples, Times
-from stream.sleep_night import NAMES, SLEEP, UNKNOWN, WAKE, States
+from kinegraph.operators.sleep.methods import ScoringRule
+from kinegraph.operators.sleep.rescoring import rescored, settled
+from kinegraph.stream.chunk import NEVER, NS, Samples, Times
+from kinegraph.stream.domain.night import NAMES, SLEEP, UNKNOWN, WAKE, States
 
 MINUTE = 60 * NS
 

@@ -9,13 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.filter import reset_gap
-from stream.kernel import kernel
-from stream.operator import Case, Operator, grid
-from stream.params import param
-from stream.require import numeric
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.data.require import numeric
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 
 @kernel

@@ -10,10 +10,10 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 
-from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import Case, Operator
-from stream.params import param
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.params import param
 
 ALARM = np.dtype([("onset", "<i8"), ("at", "<i8"), ("why", "U8")])
 """When to wake (`onset`), the set time (`at`), and why: movement, or clock."""
@@ -35,7 +35,7 @@ class GentleAlarmState:
 
 @dataclass(frozen=True, slots=True)
 class GentleAlarm(Operator[GentleAlarmState]):
-    """Epochs of `operators.depth.activity.Activity` (`activity.epochs`) in; one event a day out.
+    """Epochs of `operators.bed.activity.Activity` (`activity.epochs`) in; one event a day out.
 
     The first epoch with `least_s` of movement that is known in the last `window_min` before `at` gives the alarm (`movement`); without
     one it comes at the set time (`clock`), seen or not. Never before the window, never after the set time, once a day. Whether somebody

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from stream.chunk import Samples
+from kinegraph.stream.chunk import Samples
 
 MethodName = Literal[
     "thesis",

@@ -8,11 +8,11 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from operators.sleep.periods import PERIOD
-from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import Case, Operator
-from stream.params import param
+from kinegraph.operators.sleep.periods import PERIOD
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.params import param
 
 NIGHTS = np.dtype([*PERIOD.descr, ("bed", "U9")])
 """A period that also says what it is by: lights, or detected."""
@@ -49,7 +49,7 @@ class NightsState:
 class Nights(Operator[NightsState]):
     """In bed or out of it, and the lights, in; one event per night out: onset, end, minutes, and whether it is by the `lights`.
 
-    bed     of `operators.depth.presence.Presence`
+    bed     of `operators.bed.presence.Presence`
     lights  a button, MQTT, `stream.manual.Value`: 0, or a field `on` that is false, is off. May be left out, and forgotten for a night
 
     A night begins when the lights go off (in bed, or at most `apart_h` before), else when somebody goes to bed. It ends when the lights

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.sleep.scorer import EPOCH
-from stream.chunk import NEVER, NS, Array, Chunk, Specs, StreamSpec
-from stream.errors import InputError
-from stream.operator import Case, Operator
-from stream.params import param
+from kinegraph.operators.sleep.scorer import EPOCH
+from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Specs, StreamSpec
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.params import param
 
 PERIOD = np.dtype([("onset", "<i8"), ("end", "<i8"), ("minutes", "<f8"), ("moving", "<i8")])
 

@@ -7,8 +7,8 @@ least 10 (20) min of wake is wake. Unknown epochs end a stretch: nothing is conc
 
 from __future__ import annotations
 
-from stream.chunk import FOREVER
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States, runs
+from kinegraph.stream.chunk import FOREVER
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE, States, runs
 
 AFTER = ((4.0, 1.0), (10.0, 3.0), (15.0, 4.0))
 BETWEEN = ((10.0, 6.0), (20.0, 10.0))

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stream.chunk import Array, Samples, Times
-from stream.sleep_night import NAMES, UNKNOWN, States
+from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.domain.night import NAMES, UNKNOWN, States
 
 
 @dataclass(slots=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from operators.sleep.calibration import Calibration
-from operators.sleep.methods import METHODS, MethodName
-from stream.chunk import StreamSpec
-from stream.errors import InputError, ParameterError
+from kinegraph.operators.sleep.calibration import Calibration
+from kinegraph.operators.sleep.methods import METHODS, MethodName
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
 
 
 def epoch_length(method: MethodName, given: float) -> float:

@@ -8,17 +8,17 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from operators.inputs.channels import names_of, the_channel
-from operators.sleep.epoch_scores import EpochScores
-from operators.sleep.methods import MethodName, rule
-from operators.sleep.rescoring import REACH_MIN
-from operators.sleep.scored_input import calibration_for, epoch_length
-from stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.filter import reset_gap
-from stream.operator import Case, Operator, grid
-from stream.params import param
-from stream.require import numeric, regular
+from kinegraph.operators.inputs.channels import names_of, the_channel
+from kinegraph.operators.sleep.epoch_scores import EpochScores
+from kinegraph.operators.sleep.methods import MethodName, rule
+from kinegraph.operators.sleep.rescoring import REACH_MIN
+from kinegraph.operators.sleep.scored_input import calibration_for, epoch_length
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
+from kinegraph.stream.data.require import numeric, regular
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 EPOCH = np.dtype(
     [
@@ -83,7 +83,7 @@ class SleepScorer(Operator[ScorerState]):
     before the first epoch: zero counts for ActiLife's methods; what was seen otherwise; under Oakley the epoch is unknown (Actiware). After
     the last one no movement is assumed. A silence gives unknown epochs up to `reset_gap_s`; beyond, scoring starts again.
 
-    With `seen` connected (the output epochs of operators.depth.activity.Activity), movement in the epoch before the first one with a second
+    With `seen` connected (the output epochs of operators.bed.activity.Activity), movement in the epoch before the first one with a second
     body (`body`) counts as not seen, unless that epoch is final: the other may have come then.
     """
 
@@ -110,7 +110,7 @@ class SleepScorer(Operator[ScorerState]):
         epoch_s = epoch_length(self.method, epoch_s)
         channel = the_channel(spec, self.channel)
         if "seen" in specs and not {"onset", "sleeper", "why"} <= set(specs["seen"].dtype.names or ()):
-            raise InputError("seen", specs["seen"].describe(), "the output epochs of operators.depth.activity.Activity")
+            raise InputError("seen", specs["seen"].describe(), "the output epochs of operators.bed.activity.Activity")
         given_unit = spec.unit_of(names_of(spec)[channel]) if spec.channels else spec.units[0]
         used = calibration_for(self.method, self.calibration, spec, given_unit, epoch_s)
         if self.method == "thesis" and self.threshold is not None and not 0 < self.threshold <= 1:

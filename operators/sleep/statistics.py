@@ -10,14 +10,14 @@ from typing import Any, ClassVar
 import numpy as np
 import structlog
 
-from operators.sleep.bed_schedule import BedSchedule
-from operators.sleep.periods import PERIOD, scored, some_epochs
-from operators.sleep.scored_epochs import ScoredEpochs
-from stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError
-from stream.operator import Case, Operator
-from stream.params import param
-from stream.sleep_night import SLEEP, Convention, night
+from kinegraph.operators.sleep.bed_schedule import BedSchedule
+from kinegraph.operators.sleep.periods import PERIOD, scored, some_epochs
+from kinegraph.operators.sleep.scored_epochs import ScoredEpochs
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
+from kinegraph.stream.domain.night import SLEEP, Convention, night
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.params import param
 
 MINUTES = (
     "unknown",
@@ -88,7 +88,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
 
     `estimated` is true for the last two (and for lights that never came on again): then `tib` is only a "time in bed", `sol` an
     estimate.
-    Every row names its `convention`; what each number is by which stands with stream.sleep_night.night and in docs/sleep.md. Minutes;
+    Every row names its `convention`; what each number is by which stands with stream.domain.night.night and in docs/sleep.md. Minutes;
     `se`, `movement`, `fragmentation`, `total_fragmentation` in %. Unknown epochs enter no numerator; `_low` and `_high` bound what they
     leave open. sleep_onset, sleep_end: 0 where there was no sleep. Epochs that were never told are unknown.
 

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.inputs.directions import turned_to
-from operators.inputs.lengths import length_of, metres
-from operators.inputs.marker_columns import marker_columns
-from operators.steering.operator import QUADRUPED
-from operators.steering.stored import KIND, MAKER, from_model
-from stream.axes import Axes, in_axes
-from stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import ParameterError, nearest
-from stream.kernel import kernel
-from stream.model import read_model
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.inputs.directions import turned_to
+from kinegraph.operators.inputs.lengths import length_of, metres
+from kinegraph.operators.inputs.marker_columns import marker_columns
+from kinegraph.operators.steering.model.stored import KIND, MAKER, from_model
+from kinegraph.operators.steering.operator import QUADRUPED
+from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.model_file import read_model
+from kinegraph.stream.domain.axes import Axes, in_axes
+from kinegraph.stream.errors import ParameterError, nearest
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 MOST = 2.5
 """No marker goes farther than this many standard deviations of its training."""
@@ -88,7 +88,7 @@ class _Cast(Operator[ActorsState]):
 
 @dataclass(frozen=True, slots=True)
 class Actors(_Cast):
-    """Markers of one or several actors (points, 3) in; out come the markers of a mesh model, for operators.steering.operator.SteerMesh.
+    """Markers of one or several actors (points, 3) in; out come the markers of a mesh model, for operators.steering.SteerMesh.
 
     `limbs` says which marker of the model an actor's marker moves, and what that is seen from: {hoof_fl: [first.foot_l, first.hip]}. In the
     first `learn_s` an actor's marker is seen its range is learned, mean and standard deviation of each axis; from then on it is mapped to
@@ -96,7 +96,8 @@ class Actors(_Cast):
     Markers of the model that nobody moves stay at their mean. No delay.
 
     An input that declares its axes is turned to those of the model: up stays up, and who walks forward moves the mesh's limbs forward. One
-    that declares none, or a model that was trained on such, is taken as it is: operators.turn_axes.TurnAxes declares and turns axes.
+    that declares none, or a model that was trained on such, is taken as it is: operators.filters.turn_axes.TurnAxes declares and turns
+    axes.
     """
 
     takes = "finite"

@@ -9,27 +9,34 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.inputs.directions import turned_to
-from operators.inputs.lengths import length_of, metres
-from operators.inputs.marker_columns import marker_columns, marker_names
-from operators.steering.assemble_kernel import add_part, columns, gather_marks, predict, predict_linear, put
-from operators.steering.exchanged import NAMED, ExchangedNames
-from operators.steering.fit import Steering
-from operators.steering.marker_frame import see_from
-from operators.steering.part import Part
-from operators.steering.pose_parameters import tell_pose
-from operators.steering.regions import Regions
-from operators.steering.regression import FAR
-from operators.steering.settling import ROUNDS, settle
-from operators.steering.skeleton import hang
-from operators.steering.soft import faded, pull_mesh
-from operators.steering.stored import KIND, MAKER, from_model
-from stream.axes import Axes, in_axes
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError, nearest
-from stream.model import read_model
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.inputs.directions import turned_to
+from kinegraph.operators.inputs.lengths import length_of, metres
+from kinegraph.operators.inputs.marker_columns import marker_columns, marker_names
+from kinegraph.operators.steering.model.assemble_kernel import (
+    add_part,
+    columns,
+    gather_marks,
+    predict,
+    predict_linear,
+    put,
+)
+from kinegraph.operators.steering.model.fit import Steering
+from kinegraph.operators.steering.model.marker_frame import see_from
+from kinegraph.operators.steering.model.part import Part
+from kinegraph.operators.steering.model.pose_parameters import tell_pose
+from kinegraph.operators.steering.model.regions import Regions
+from kinegraph.operators.steering.model.regression import FAR
+from kinegraph.operators.steering.model.settling import ROUNDS, settle
+from kinegraph.operators.steering.model.skeleton import hang
+from kinegraph.operators.steering.model.soft import faded, pull_mesh
+from kinegraph.operators.steering.model.stored import KIND, MAKER, from_model
+from kinegraph.operators.steering.swapped_markers import NAMED, ExchangedNames
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.model_file import read_model
+from kinegraph.stream.domain.axes import Axes, in_axes
+from kinegraph.stream.errors import InputError, ParameterError, nearest
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 QUADRUPED = Path(__file__).with_name("quadruped.npz")
 

@@ -7,12 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.steps.steps import STEP, Steps, some_walk
-from stream.chunk import NEVER, NS, Chunk, Specs, StreamSpec, Times
-from stream.errors import InputError
-from stream.filter import reset_gap
-from stream.operator import Case, Operator
-from stream.params import param
+from kinegraph.operators.steps.steps import STEP, Steps, some_walk
+from kinegraph.stream.chunk import NEVER, NS, Chunk, Specs, StreamSpec, Times
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.params import param
 
 CHANGE = np.dtype([("onset", "<i8"), ("activity", "<U8"), ("before", "<U8"), ("lasted_s", "<f8")])
 """From `onset` on a person does something else than `before`, which they did for `lasted_s` (NaN: since before the signal began)."""

@@ -9,12 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from operators.steps.forest import Forest, StepModel
-from operators.steps.steps import STEP, Steps, some_walk
-from stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
-from stream.errors import InputError
-from stream.operator import Case, Operator
-from stream.params import param
+from kinegraph.operators.steps.forest import Forest, StepModel
+from kinegraph.operators.steps.steps import STEP, Steps, some_walk
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.params import param
 
 UNCERTAIN, NOBODY = "uncertain", "nobody enrolled"
 MOST_CLASSES = 64

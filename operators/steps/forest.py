@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from operators.steps.forest_kernel import forest_probabilities
-from operators.steps.step_kernel import chosen
-from stream.chunk import Array, Samples, StreamSpec, Times
-from stream.errors import InputError
-from stream.model import ModelError, read_model, write_model
+from kinegraph.operators.steps.forest_kernel import forest_probabilities
+from kinegraph.operators.steps.step_kernel import chosen
+from kinegraph.stream.chunk import Array, Samples, StreamSpec, Times
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.errors import InputError
 
 KIND = "steps"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stream.chunk import Samples, Times
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.kernel import kernel
 
 
 @kernel

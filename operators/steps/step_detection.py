@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.iir import one_value
-from stream.chunk import NEVER, NS, Array, Samples, Times
-from stream.kernel import kernel
+from kinegraph.operators.filters.iir import one_value
+from kinegraph.stream.chunk import NEVER, NS, Array, Samples, Times
+from kinegraph.stream.kernel import kernel
 
 CUTOFF_HZ, ORDER = 5.0, 2
 LEAST_M_S2 = 0.7

@@ -6,8 +6,8 @@ from math import cos, log, pi, sqrt
 
 import numpy as np
 
-from stream.chunk import Samples
-from stream.kernel import kernel
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.kernel import kernel
 
 STATISTICS = ("mean", "sd", "least", "most", "rms", "entropy", "energy", "amplitude")
 SENSOR = (("ax", "ay", "az"), ("gx", "gy", "gz"))

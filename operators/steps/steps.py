@@ -8,14 +8,14 @@ from typing import ClassVar, Literal
 import numpy as np
 from scipy.signal import butter
 
-from operators.steps.step_detection import APART_S, CUTOFF_HZ, ORDER, find_steps, fresh_track, rule_of
-from operators.steps.step_kernel import COUNT, WEINBERG, describe, feature_names, turned_by
-from stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
-from stream.errors import InputError, ParameterError
-from stream.filter import reset_gap
-from stream.kernel import kernel
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.steps.step_detection import APART_S, CUTOFF_HZ, ORDER, find_steps, fresh_track, rule_of
+from kinegraph.operators.steps.step_kernel import COUNT, WEINBERG, describe, feature_names, turned_by
+from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 STEP = np.dtype(
     [
@@ -97,9 +97,7 @@ class Steps(Operator[StepsState]):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         if not spec.is_signal or spec.rate_hz is None or not 40.0 <= spec.rate_hz <= 1000.0:
-            accepts = (
-                "an inertial sensor at a regular rate of 40 to 1000 Hz; operators.resample.Resample makes one of bursts"
-            )
+            accepts = "an inertial sensor at a regular rate of 40 to 1000 Hz; operators.filters.resample.Resample makes one of bursts"
             raise InputError("in", spec.describe(), accepts)
         units = spec.units if len(spec.units) == spec.shape[0] else spec.units * spec.shape[0]
         acceleration = [i for i, unit in enumerate(units) if unit in ("m/s2", "m/s^2", "g")]

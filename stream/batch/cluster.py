@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from stream.errors import KinegraphError
-from stream.optional import optional
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.extras import optional
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -9,14 +9,16 @@ import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields, is_dataclass
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from stream.batch.jobs import Job
-from stream.digest import sha256_of
-from stream.graph import Graph
-from stream.graph.parts import OURS, is_ours
-from stream.recording import versions
+from kinegraph.stream.batch.jobs import Job
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.graph.components import is_ours
+from kinegraph.stream.recording import versions
+from kinegraph.stream.system.file_digest import sha256_of
+from kinegraph.stream.system.names import PACKAGES
 
 LONGEST_PATH = 4096
 
@@ -38,9 +40,8 @@ def job_digest(job: Job, graph: Graph, recording: str) -> str:
 def code_digest() -> str:
     """The hash of kinegraph's own sources, and the versions of what computes beside them."""
     digest = hashlib.sha256(json.dumps(versions(), sort_keys=True).encode())
-    for package in OURS:
-        module = sys.modules.get(package) or __import__(package)
-        root = Path(str(module.__file__)).parent
+    for package in PACKAGES:
+        root = Path(str(files("kinegraph") / package))
         for path in sorted(root.rglob("*.py")):
             digest.update(path.relative_to(root).as_posix().encode())
             digest.update(path.read_bytes())

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from stream.batch.sessions import (
+from kinegraph.stream.batch.sessions import (
     is_results,
     matched,
     named_in,
@@ -16,7 +16,7 @@ from stream.batch.sessions import (
     settings_of,
     short_name,
 )
-from stream.errors import KinegraphError
+from kinegraph.stream.errors import KinegraphError
 
 Reference = TypeVar("Reference")
 

@@ -10,8 +10,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from stream.errors import GraphError, KinegraphError
-from stream.graph.yaml_lines import parse
+from kinegraph.stream.errors import GraphError, KinegraphError
+from kinegraph.stream.graph.reading.yaml_lines import parse
 
 MOST = 1_000_000
 """Jobs of one batch; more is a slip of the pen in a `--set`."""

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stream.complete import private_folder, write_complete
-from stream.errors import KinegraphError
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.atomic_file import private_folder, write_complete
 
 JOBS = ".jobs"
 FORMAT = 1

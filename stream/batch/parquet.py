@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stream.chunk import Array, Chunk, StreamSpec, add_lost
-from stream.columns import column_names, columns
-from stream.conversions import plain_values
-from stream.optional import optional
+from kinegraph.stream.chunk import Array, Chunk, StreamSpec, add_lost
+from kinegraph.stream.data.columns import column_names, columns
+from kinegraph.stream.data.conversions import plain_values
+from kinegraph.stream.system.extras import optional
 
 if TYPE_CHECKING:
     import pyarrow

@@ -7,10 +7,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stream.batch.manifest import JOBS, JobEntry, Manifest
-from stream.batch.parquet import arrow
-from stream.complete import complete
-from stream.errors import KinegraphError, nearest
+from kinegraph.stream.batch.manifest import JOBS, JobEntry, Manifest
+from kinegraph.stream.batch.parquet import arrow
+from kinegraph.stream.errors import KinegraphError, nearest
+from kinegraph.stream.system.atomic_file import complete
 
 if TYPE_CHECKING:
     import pandas

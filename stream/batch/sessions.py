@@ -10,14 +10,14 @@ from typing import Any, Self, TypeAlias, TypeVar
 
 import numpy as np
 
-from stream.batch.manifest import JOBS, JobEntry, Manifest
-from stream.batch.parquet import LOST, TIME, arrow
-from stream.chunk import Array, Chunk, StreamSpec, Times
-from stream.columns import assemble, column_names, columns
-from stream.errors import KinegraphError, RecordingError, nearest
-from stream.recording import Recording
-from stream.recording.recorded_stream import RecordedStream
-from stream.series import Series
+from kinegraph.stream.batch.manifest import JOBS, JobEntry, Manifest
+from kinegraph.stream.batch.parquet import LOST, TIME, arrow
+from kinegraph.stream.chunk import Array, Chunk, StreamSpec, Times
+from kinegraph.stream.data.columns import assemble, column_names, columns
+from kinegraph.stream.data.series import Series
+from kinegraph.stream.errors import KinegraphError, RecordingError, nearest
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format.recorded_stream import RecordedStream
 
 Wanted = TypeVar("Wanted")
 

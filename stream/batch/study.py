@@ -12,18 +12,18 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from stream.batch.cluster import LOCAL, Lost, spread, workers
-from stream.batch.jobs import Job
-from stream.batch.manifest import JobEntry, Manifest
-from stream.batch.parquet import ROWS, arrow
-from stream.batch.results import write_lists
-from stream.batch.work import Common, do, recorded_edges
-from stream.ceiling import ceiling
-from stream.complete import private_folder
-from stream.errors import KinegraphError, RecordingError
-from stream.graph import Graph
-from stream.graph.plan import plan
-from stream.recording import Recording
+from kinegraph.stream.batch.cluster import LOCAL, Lost, spread, workers
+from kinegraph.stream.batch.jobs import Job
+from kinegraph.stream.batch.manifest import JobEntry, Manifest
+from kinegraph.stream.batch.parquet import ROWS, arrow
+from kinegraph.stream.batch.results import write_lists
+from kinegraph.stream.batch.work import Common, do, recorded_edges
+from kinegraph.stream.errors import KinegraphError, RecordingError
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.graph.plan import plan
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.system.atomic_file import private_folder
+from kinegraph.stream.system.memory_limit import ceiling
 
 LOCK = ".lock"
 WORKER_BYTES = 400_000_000

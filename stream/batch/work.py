@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from stream.batch.digests import job_digest, recording_digest
-from stream.batch.jobs import Job
-from stream.batch.manifest import JobEntry, Manifest
-from stream.batch.parquet import ParquetTable
-from stream.complete import complete, private_folder, write_complete
-from stream.engine.replay import Replay
-from stream.errors import KinegraphError, RecordingError, explain
-from stream.graph import Edge, Graph
-from stream.graph.load import load_text
-from stream.owners import is_foreign
-from stream.recording import Recording
+from kinegraph.stream.batch.digests import job_digest, recording_digest
+from kinegraph.stream.batch.jobs import Job
+from kinegraph.stream.batch.manifest import JobEntry, Manifest
+from kinegraph.stream.batch.parquet import ParquetTable
+from kinegraph.stream.engine.replay import Replay
+from kinegraph.stream.errors import KinegraphError, RecordingError, explain
+from kinegraph.stream.graph import Edge, Graph
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.system.atomic_file import complete, private_folder, write_complete
+from kinegraph.stream.system.file_permissions import is_foreign
 
 STUDY = ".graph.json"
 

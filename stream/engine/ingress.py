@@ -2,7 +2,7 @@
 
 A chunk is worked through inline while nothing waits and no other thread has the turn: to wake another thread for it costs more than most
 graphs' work. Chunks of a burst are gathered there, and enter as one. Everything else waits for the graph's thread. All ways end in
-`Ingress.enter`, and what may enter is decided by `stream.engine.admission` alone.
+`Ingress.enter`, and what may enter is decided by `stream.engine.flow.admission` alone.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from threading import Lock
 from time import perf_counter_ns
 from typing import Any
 
-from stream.chunk import FOREVER, NEVER, NS, Chunk, empty, utc
-from stream.clock import SessionClock
-from stream.engine.admission import JOINED_BYTES, admit, followed
-from stream.engine.edge import CallSlot, LiveEdge
-from stream.engine.pipeline import Pipeline
-from stream.engine.queues import BoundedQueue, ReadyQueue
-from stream.engine.session_log import PriorSession, SessionLog
-from stream.engine.supervisor import REST_S, Inline, Runner, StartBarrier
-from stream.errors import KinegraphError
-from stream.manual import Value
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, empty, utc
+from kinegraph.stream.engine.flow.admission import JOINED_BYTES, admit, followed
+from kinegraph.stream.engine.flow.edge import CallSlot, LiveEdge
+from kinegraph.stream.engine.flow.queues import BoundedQueue, ReadyQueue
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.session_log import PriorSession, SessionLog
+from kinegraph.stream.engine.supervisor import REST_S, Inline, Runner, StartBarrier
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.manual import Value
+from kinegraph.stream.system.clock import SessionClock
 
 LONG_AGO = 10**8 * NS
 """In 1973: a live sample's stamp that lies before is rather one in other units."""

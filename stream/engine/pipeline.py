@@ -2,7 +2,7 @@
 
 A chunk that enters is pushed from operator to operator, depth first, without queues and without copies. Timing costs one reading of the
 clock per call: every push is given the time at which its caller ended, and returns the time at which its own last reader did. How
-edges, input ports and segments do that is in `stream.engine.edge` and `stream.engine.segment`.
+edges, input ports and segments do that is in `stream.engine.flow.edge` and `stream.engine.flow.segment`.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from typing import TypeAlias
 import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, NEVER, Array, Chunk, empty
-from stream.clock import SessionClock
-from stream.engine.edge import NOTHING, CallSlot, InputPort, LiveEdge, Push, failure, nonsense
-from stream.engine.merge import Merge
-from stream.engine.queues import BoundedQueue
-from stream.engine.segment import CompiledSegment
-from stream.errors import KinegraphError, asked_to_end, blaming, explain
-from stream.graph import Edge, Graph, Node
-from stream.graph.parts import is_ours
-from stream.metrics import FOLD_AT, Timing
-from stream.operator import Emitted, Operator
-from stream.outlet import Outlet
-from stream.rows import Rows, rows_for
+from kinegraph.stream.chunk import FOREVER, NEVER, Array, Chunk, empty
+from kinegraph.stream.data.rows import Rows, rows_for
+from kinegraph.stream.engine.flow.edge import NOTHING, CallSlot, InputPort, LiveEdge, Push, failure, nonsense
+from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.engine.flow.metrics import FOLD_AT, Timing
+from kinegraph.stream.engine.flow.queues import BoundedQueue
+from kinegraph.stream.engine.flow.segment import CompiledSegment
+from kinegraph.stream.errors import KinegraphError, asked_to_end, blaming, explain
+from kinegraph.stream.graph import Edge, Graph, Node
+from kinegraph.stream.graph.components import is_ours
+from kinegraph.stream.operator import Emitted, Operator
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.system.clock import SessionClock
 
 log = structlog.get_logger(__name__)
 

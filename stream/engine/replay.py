@@ -10,21 +10,21 @@ from pathlib import Path
 from time import perf_counter_ns
 from typing import Any
 
-from stream.chunk import FOREVER, NS, Chunk, empty
-from stream.engine.edge import Observer, Push
-from stream.engine.pipeline import Pipeline, Stage
-from stream.engine.queues import recorded_drops
-from stream.engine.status import Rates, SessionView, Table, table_of_replay
-from stream.engine.substitutes import Substitutes
-from stream.engine.warmup import Compilations, warm_up
-from stream.graph import Edge, Graph
-from stream.graph.suited import refuse_unsuited
-from stream.pace import Pace
-from stream.promise import Inside
-from stream.recording import Recorder, Recording, versions
-from stream.recording.image import is_picture
-from stream.recording.joined import joinable, joined
-from stream.recording.packed import Packer
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, empty
+from kinegraph.stream.engine.flow.edge import Observer, Push
+from kinegraph.stream.engine.flow.promise import Inside
+from kinegraph.stream.engine.flow.queues import recorded_drops
+from kinegraph.stream.engine.pace import Pace
+from kinegraph.stream.engine.pipeline import Pipeline, Stage
+from kinegraph.stream.engine.status import Rates, SessionView, Table, table_of_replay
+from kinegraph.stream.engine.substitutes import Substitutes
+from kinegraph.stream.engine.warmup import Compilations, warm_up
+from kinegraph.stream.graph import Edge, Graph
+from kinegraph.stream.graph.session_check import refuse_unsuited
+from kinegraph.stream.recording import Recorder, Recording, versions
+from kinegraph.stream.recording.format.image import is_picture
+from kinegraph.stream.recording.format.packed import Packer
+from kinegraph.stream.recording.read.joined import joinable, joined
 
 FOLD_EVERY = 1000
 """Chunks between two foldings of the durations."""

@@ -7,15 +7,15 @@ from time import perf_counter_ns
 
 import structlog
 
-from stream.chunk import NEVER
-from stream.clock import SessionClock
-from stream.engine.ingress import IngressPort
-from stream.engine.pipeline import Pipeline
-from stream.engine.queues import recorded_drops
-from stream.engine.session_log import PriorSession, SessionLog
-from stream.engine.substitutes import Substitutes
-from stream.engine.workers import Workers
-from stream.outlet import Outlet
+from kinegraph.stream.chunk import NEVER
+from kinegraph.stream.engine.flow.queues import recorded_drops
+from kinegraph.stream.engine.ingress import IngressPort
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.session_log import PriorSession, SessionLog
+from kinegraph.stream.engine.substitutes import Substitutes
+from kinegraph.stream.engine.workers import Workers
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.system.clock import SessionClock
 
 log = structlog.get_logger(__name__)
 

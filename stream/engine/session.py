@@ -19,24 +19,24 @@ from typing import Protocol, Self
 
 import structlog
 
-from stream.ceiling import ceiling, refused_beyond
-from stream.chunk import NEVER
-from stream.clock import SessionClock
-from stream.engine.ingress import Ingress
-from stream.engine.pipeline import Pipeline
-from stream.engine.queues import DROPPED, ReadyQueue
-from stream.engine.resume import catch_up
-from stream.engine.session_log import PriorSession, SessionLog
-from stream.engine.status import MemoryWatch, Outcome, Rates, SessionView, Table, recording_row, table_of
-from stream.engine.supervisor import GRACE_S, REST_S, Runner
-from stream.engine.warmup import Compilations, warm_up
-from stream.engine.workers import Call, Watchdog, Workers
-from stream.errors import KinegraphError, asked_to_end
-from stream.graph import Graph, is_live
-from stream.graph.suited import refuse_unsuited
-from stream.outlet import Outlet
-from stream.shortfall import INCOMPLETE, shortfalls
-from stream.stalls import calm
+from kinegraph.stream.chunk import NEVER
+from kinegraph.stream.engine.flow.queues import DROPPED, ReadyQueue
+from kinegraph.stream.engine.ingress import Ingress
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.resume import catch_up
+from kinegraph.stream.engine.session_log import PriorSession, SessionLog
+from kinegraph.stream.engine.shortfall import INCOMPLETE, shortfalls
+from kinegraph.stream.engine.status import MemoryWatch, Outcome, Rates, SessionView, Table, recording_row, table_of
+from kinegraph.stream.engine.supervisor import GRACE_S, REST_S, Runner
+from kinegraph.stream.engine.warmup import Compilations, warm_up
+from kinegraph.stream.engine.workers import Call, Watchdog, Workers
+from kinegraph.stream.errors import KinegraphError, asked_to_end
+from kinegraph.stream.graph import Graph, is_live
+from kinegraph.stream.graph.session_check import refuse_unsuited
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.system.clock import SessionClock
+from kinegraph.stream.system.memory_limit import ceiling, refused_beyond
+from kinegraph.stream.system.stalls import calm
 
 TICK_S = 0.2
 """How often the graph is looked after while something is about to happen; else every `REST_S`."""

@@ -12,18 +12,18 @@ from typing import Any
 
 import structlog
 
-from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
-from stream.clock import SessionClock
-from stream.engine.merge import Merge
-from stream.engine.pipeline import Pipeline
-from stream.engine.queues import DROPPED
-from stream.errors import KinegraphError, RecordingError
-from stream.fingerprint import fingerprint_of_class
-from stream.graph import Graph
-from stream.recording import Recorder, RecorderStatus, Recording, versions
-from stream.recording.checkpoint import Checkpoint, CheckpointWriter, fingerprint
-from stream.recording.image import is_picture
-from stream.recording.place import is_running, parts_of
+from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
+from kinegraph.stream.compiler.fingerprint import fingerprint_of_class
+from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.engine.flow.queues import DROPPED
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.errors import KinegraphError, RecordingError
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.recording import Recorder, RecorderStatus, Recording, versions
+from kinegraph.stream.recording.format.checkpoint import Checkpoint, CheckpointWriter, fingerprint
+from kinegraph.stream.recording.format.image import is_picture
+from kinegraph.stream.recording.format.paths import is_running, parts_of
+from kinegraph.stream.system.clock import SessionClock
 
 QUIET = {"device", "source ended", "session resumed", "source reopened", "asked to end"}
 """Reports that are news, not warnings."""

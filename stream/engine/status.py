@@ -9,19 +9,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from stream.ceiling import ceiling, taken
-from stream.chunk import FOREVER, NEVER, NS
-from stream.errors import MemoryExceeded, blaming
-from stream.metrics import rounded
-from stream.shortfall import reader_of
-from stream.spare_memory import give_back
+from kinegraph.stream.chunk import FOREVER, NEVER, NS
+from kinegraph.stream.engine.flow.metrics import rounded
+from kinegraph.stream.engine.shortfall import reader_of
+from kinegraph.stream.errors import MemoryExceeded, blaming
+from kinegraph.stream.system.malloc_tuning import give_back
+from kinegraph.stream.system.memory_limit import ceiling, taken
 
 if TYPE_CHECKING:
-    from stream.engine.ingress import IngressPort
-    from stream.engine.pipeline import Pipeline, Stage
-    from stream.engine.queues import BoundedQueue
-    from stream.engine.workers import Workers
-    from stream.recording import RecorderStatus
+    from kinegraph.stream.engine.flow.queues import BoundedQueue
+    from kinegraph.stream.engine.ingress import IngressPort
+    from kinegraph.stream.engine.pipeline import Pipeline, Stage
+    from kinegraph.stream.engine.workers import Workers
+    from kinegraph.stream.recording import RecorderStatus
 
 Table: TypeAlias = dict[str, dict[str, Any]]
 """Per stream of a source ("board.emg"), per node, and for "recording": named numbers with units in their names."""

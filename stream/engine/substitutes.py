@@ -11,12 +11,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from stream.chunk import Specs
-from stream.engine.edge import LiveEdge
-from stream.engine.pipeline import Pipeline
-from stream.graph import Edge, Graph, Node
-from stream.recording.recorded_stream import RecordedStream
-from stream.source import Source
+from kinegraph.stream.chunk import Specs
+from kinegraph.stream.engine.flow.edge import LiveEdge
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.graph import Edge, Graph, Node
+from kinegraph.stream.recording.format.recorded_stream import RecordedStream
+from kinegraph.stream.source import Source
 
 
 @dataclass(frozen=True, slots=True)

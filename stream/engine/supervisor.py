@@ -11,15 +11,15 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 import structlog
 
-from stream.backpressure import most_bytes
-from stream.chunk import FOREVER, NS, Chunk, empty, utc
-from stream.clock import SessionClock
-from stream.engine.admission import conform, ordered, soundness
-from stream.engine.queues import BoundedQueue, ReadyQueue
-from stream.errors import DeviceError, KinegraphError, RunError, blaming, explain, nearest
-from stream.graph import Edge, Node, policy_of
-from stream.promise import END, MOST_LOST, PromiseError, impossible
-from stream.source import Source
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, empty, utc
+from kinegraph.stream.engine.flow.admission import conform, ordered, soundness
+from kinegraph.stream.engine.flow.promise import END, MOST_LOST, PromiseError, impossible
+from kinegraph.stream.engine.flow.queues import BoundedQueue, ReadyQueue
+from kinegraph.stream.errors import DeviceError, KinegraphError, RunError, blaming, explain, nearest
+from kinegraph.stream.graph import Edge, Node, policy_of
+from kinegraph.stream.graph.backpressure import most_bytes
+from kinegraph.stream.source import Source
+from kinegraph.stream.system.clock import SessionClock
 
 FIRST_PAUSE_S = 0.25
 LONGEST_PAUSE_S = 10.0

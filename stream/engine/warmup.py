@@ -16,13 +16,15 @@ from typing import Any
 import numpy as np
 import structlog
 
-from stream.chunk import FOREVER, NS, Chunk, Specs, StreamSpec, empty
-from stream.engine.admission import soundness
-from stream.engine.edge import CallSlot
-from stream.engine.merge import Merge
-from stream.engine.pipeline import Pipeline, Stage
-from stream.engine.row import step_of
-from stream.errors import (
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, Specs, StreamSpec, empty
+from kinegraph.stream.data.rows import taking
+from kinegraph.stream.engine.flow.admission import soundness
+from kinegraph.stream.engine.flow.edge import CallSlot
+from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.engine.flow.metrics import Timing
+from kinegraph.stream.engine.flow.row import step_of
+from kinegraph.stream.engine.pipeline import Pipeline, Stage
+from kinegraph.stream.errors import (
     GraphError,
     Interrupted,
     KinegraphError,
@@ -32,11 +34,10 @@ from stream.errors import (
     explain,
     interruption,
 )
-from stream.graph import Graph, Node, parts
-from stream.metrics import Timing
-from stream.operator import Emitted, Operator, grid
-from stream.rows import taking
-from stream.source import Source
+from kinegraph.stream.graph import Graph, Node
+from kinegraph.stream.graph import components as parts
+from kinegraph.stream.operator import Emitted, Operator, grid
+from kinegraph.stream.source import Source
 
 SAMPLES = 64
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from time import perf_counter_ns
 
-from stream.backpressure import Policy, most_bytes
-from stream.chunk import NS, Chunk
-from stream.engine.edge import CallSlot, InputPort, Push, given
-from stream.engine.pipeline import Stage
-from stream.engine.queues import BoundedQueue, Drops, ReadyQueue
-from stream.errors import RunError
-from stream.graph import Edge, policy_of
+from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.engine.flow.edge import CallSlot, InputPort, Push, given
+from kinegraph.stream.engine.flow.queues import BoundedQueue, Drops, ReadyQueue
+from kinegraph.stream.engine.pipeline import Stage
+from kinegraph.stream.errors import RunError
+from kinegraph.stream.graph import Edge, policy_of
+from kinegraph.stream.graph.backpressure import Policy, most_bytes
 
 UNLIMITED = 1 << 62
 

@@ -1,6 +1,6 @@
 """Graphs: what they are made of, how they are read from YAML and checked, planned, drawn and described to editors."""
 
-from stream.graph.model import (
+from kinegraph.stream.graph.model import (
     Edge,
     Graph,
     Node,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.text import Text
 from rich.tree import Tree
 
-from stream.graph import Edge, Graph, Node
+from kinegraph.stream.graph import Edge, Graph, Node
 
 
 def tree(graph: Graph) -> Tree:

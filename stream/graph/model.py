@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
-from stream.backpressure import Policy
-from stream.chunk import Specs, StreamSpec
-from stream.errors import blaming
-from stream.graph.page_options import PageOptions
-from stream.graph.settings import Setting
-from stream.operator import Operator
-from stream.params import param
-from stream.source import Source
+from kinegraph.stream.chunk import Specs, StreamSpec
+from kinegraph.stream.errors import blaming
+from kinegraph.stream.graph.backpressure import Policy
+from kinegraph.stream.graph.page_options import PageOptions
+from kinegraph.stream.graph.settings import Setting
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Source
 
 T = TypeVar("T")
 

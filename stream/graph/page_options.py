@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stream.params import param
+from kinegraph.stream.params import param
 
 PANEL_KINDS = (
     "signal", "events", "table", "cycles", "frame", "scene", "avatar", "hypnogram", "weeks", "map", "similarity", "state", "graph", "log",

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from stream.backpressure import held_bytes, most_bytes
-from stream.ceiling import ceiling
-from stream.chunk import StreamSpec
-from stream.errors import GraphError, blaming
-from stream.graph import Edge, Graph, Node, is_live, policy_of
-from stream.operator import Operator
-from stream.source import Source
-from stream.time_text import delay
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import GraphError, blaming
+from kinegraph.stream.graph import Edge, Graph, Node, is_live, policy_of
+from kinegraph.stream.graph.backpressure import held_bytes, most_bytes
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.source import Source
+from kinegraph.stream.system.memory_limit import ceiling
+from kinegraph.stream.text.time_text import delay
 
 _CHUNK_S = 0.02
 """What a chunk is taken to cover where the source does not say."""

@@ -1,19 +1,16 @@
-"""The graphs that come with kinegraph: in the installed package, or beside pyproject.toml in a checkout; found by their bare names."""
+"""The graphs that come with kinegraph, found by their bare names."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-_PACKAGE = Path(__file__).resolve().parent.parent
+_PACKAGE = Path(__file__).parents[2]
 _ENDINGS = (".yaml", ".yml")
 
 
 def shipped_folder(package: Path = _PACKAGE) -> Path | None:
-    """Where the shipped graphs lie: in the package, as a wheel holds them, else beside pyproject.toml; None if they were not installed."""
-    if (package / "configs").is_dir():
-        return package / "configs"
-    checkout = package.parent
-    return checkout / "configs" if (checkout / "pyproject.toml").exists() and (checkout / "configs").is_dir() else None
+    """The folder of the shipped graphs; None if they were not installed."""
+    return package / "configs" if (package / "configs").is_dir() else None
 
 
 def shipped() -> dict[str, Path]:

@@ -1,9 +1,9 @@
 """Recordings: what a session saw and gave, in MCAP files that survive a killed process, a full disk and a slow one."""
 
-from stream.recording.reader import Recording
-from stream.recording.recorded_stream import RecordedStream
-from stream.recording.recorder import Recorder
-from stream.recording.recorder_slot import RecorderStatus
-from stream.recording.versions import versions
+from kinegraph.stream.recording.format.recorded_stream import RecordedStream
+from kinegraph.stream.recording.format.versions import versions
+from kinegraph.stream.recording.read.reader import Recording
+from kinegraph.stream.recording.write.recorder import Recorder
+from kinegraph.stream.recording.write.recorder_slot import RecorderStatus
 
 __all__ = ["RecordedStream", "Recorder", "RecorderStatus", "Recording", "versions"]

@@ -9,16 +9,16 @@ from pathlib import Path
 
 from mcap.writer import CompressionType
 
-from stream.complete import private_folder
-from stream.errors import NothingRecorded, RecordingError
-from stream.recording.file_segment import FileSegment
-from stream.recording.format import LOG, METRICS, encode_log, table
-from stream.recording.missing import Missing, missing_after
-from stream.recording.overview import overview_of
-from stream.recording.place import is_running, part_path, parts_of
-from stream.recording.recorded_file import RecordedFile
-from stream.recording.recorded_stream import RecordedStream
-from stream.recording.records import messages
+from kinegraph.stream.errors import NothingRecorded, RecordingError
+from kinegraph.stream.recording.format.layout import LOG, METRICS, encode_log, table
+from kinegraph.stream.recording.format.overview import overview_of
+from kinegraph.stream.recording.format.paths import is_running, part_path, parts_of
+from kinegraph.stream.recording.format.recorded_stream import RecordedStream
+from kinegraph.stream.recording.read.missing import Missing, missing_after
+from kinegraph.stream.recording.read.recorded_file import RecordedFile
+from kinegraph.stream.recording.read.records import messages
+from kinegraph.stream.recording.write.file_segment import FileSegment
+from kinegraph.stream.system.atomic_file import private_folder
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, NS, Chunk
-from stream.errors import RecordingError
-from stream.graph import RecordingOptions
-from stream.recording import Recorder
-from stream.recording.place import claim, discard, draft_of, give_back, parts_of, publish
-from stream.series import Series as Series
+from kinegraph.stream.chunk import FOREVER, NS, Chunk
+from kinegraph.stream.data.series import Series as Series
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder
+from kinegraph.stream.recording.format.paths import claim, discard, draft_of, give_back, parts_of, publish
 
 
 def write_recording(

@@ -9,14 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.protocols.osc import read_osc
-from devices.protocols.vmc_frames import VmcFrames
-from stream.chunk import Samples
-from stream.humanoid import usual_body
+from kinegraph.devices.osc.protocol import read_osc
+from kinegraph.devices.osc.vmc_frames import VmcFrames
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.humanoid import usual_body
 from tests.support.command_line import KINEGRAPH
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "avatar.yaml"
-CAMERA = "  camera:\n    use: devices.simulators.before_camera.BeforeCamera\n    realtime: false\n    duration_s: {seconds}\n\n"
+CAMERA = (
+    "  camera:\n    use: devices.people.before_camera.BeforeCamera\n    realtime: false\n    duration_s: {seconds}\n\n"
+)
 
 
 def rendered_config(folder: Path, seconds: float, *, network: bool = False) -> Path:

@@ -7,9 +7,9 @@ from unittest import mock
 
 import numpy as np
 
-from devices.simulators import rendered_performer
-from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
-from stream.chunk import Array
+from kinegraph.devices.people import rendered_performer
+from kinegraph.devices.people.rendered_performer import POINTS, RenderedPerformer, camera_of
+from kinegraph.stream.chunk import Array
 from tests.avatar.test_degraded_scenes import empty_room
 
 FIRST, LAST = 135, 180

@@ -6,10 +6,10 @@ from unittest import mock
 
 import numpy as np
 
-from devices.simulators import rendered_performer
-from devices.simulators.rendered_performer import POINTS, RenderedPerformer, camera_of
-from stream.chunk import Array
-from stream.humanoid import BONES
+from kinegraph.devices.people import rendered_performer
+from kinegraph.devices.people.rendered_performer import POINTS, RenderedPerformer, camera_of
+from kinegraph.stream.chunk import Array
+from kinegraph.stream.domain.humanoid import BONES
 from tests.avatar.test_degraded_scenes import AvatarChain, Following, Scene, empty_room
 
 BONE_OF = {

@@ -10,38 +10,38 @@ import ezc3d
 import numpy as np
 import pytest
 
-from devices.files.bvh_read import read_bvh
-from devices.files.c3d_read import read_c3d
-from devices.files.kinect_read import ONE, read_kinect
-from devices.natnet import NatNet
-from devices.oak.source import Oak
-from devices.outlets.osc_points import OscPoints
-from devices.outlets.page.shown import described
-from devices.qualisys import Qualisys
-from devices.simulators.before_camera import BeforeCamera
-from devices.simulators.exerciser import Exerciser
-from devices.simulators.performer import MARKERS, Performer, true_pose
-from devices.simulators.quadruped import Quadruped, TwoActors, marked, topology, walking
-from devices.simulators.walkway import Walkway
-from devices.vmc import Vmc
-from operators.align import Align
-from operators.body.names import markers_specs
-from operators.features.normalised_pose import NormalisedPose
-from operators.features.pose import Pose
-from operators.gait.marker import MarkerContacts
-from operators.pose_map.commands.gather import PoseReading
-from operators.scale import Scale
-from operators.steering.actors import Actors
-from operators.steering.operator import SteerMesh
-from operators.turn_axes import TurnAxes
-from operators.whole_pose.operator import WholePose
-from stream.axes import BODY, CAMERA, WAYS, Axes, describe_axes, in_axes
-from stream.chunk import Array, Chunk, Samples, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.humanoid import BONES
-from stream.operator import Operator, grid
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.formats.bvh.reader import read_bvh
+from kinegraph.devices.formats.c3d.reader import read_c3d
+from kinegraph.devices.formats.table.kinect import ONE, read_kinect
+from kinegraph.devices.natnet.source import NatNet
+from kinegraph.devices.oak.source import Oak
+from kinegraph.devices.osc.points import OscPoints
+from kinegraph.devices.osc.vmc_inlet import Vmc
+from kinegraph.devices.page.transfer.catalogue import described
+from kinegraph.devices.people.before_camera import BeforeCamera
+from kinegraph.devices.people.exerciser import Exerciser
+from kinegraph.devices.people.performer import MARKERS, Performer, true_pose
+from kinegraph.devices.people.quadruped import Quadruped, TwoActors, marked, topology, walking
+from kinegraph.devices.people.walkway import Walkway
+from kinegraph.devices.qualisys.source import Qualisys
+from kinegraph.operators.body.names import markers_specs
+from kinegraph.operators.contacts.marker import MarkerContacts
+from kinegraph.operators.features.normalised_pose import NormalisedPose
+from kinegraph.operators.features.pose import Pose
+from kinegraph.operators.filters.scale import Scale
+from kinegraph.operators.filters.turn_axes import TurnAxes
+from kinegraph.operators.maps.pose_map.commands.gather import PoseReading
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.operators.steering.actors import Actors
+from kinegraph.operators.steering.operator import SteerMesh
+from kinegraph.operators.timing.align import Align
+from kinegraph.stream.chunk import Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.axes import BODY, CAMERA, WAYS, Axes, describe_axes, in_axes
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import Operator, grid
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.command_line import Command, refused
 
 RATE = 30.0
@@ -334,8 +334,8 @@ def test_importers_declare_what_files_say_and_what_they_are_told(kinegraph: Comm
 
 def test_check_prints_the_axes_of_points(kinegraph: Command, tmp_path: Path) -> None:
     (tmp_path / "g.yaml").write_text(
-        "nodes:\n  people: {use: devices.simulators.performer.Performer}\n"
-        "  pose: {use: operators.whole_pose.operator.WholePose, from: people.markers}\n"
+        "nodes:\n  people: {use: devices.people.performer.Performer}\n"
+        "  pose: {use: operators.pose.WholePose, from: people.markers}\n"
     )
     told = kinegraph("check", tmp_path / "g.yaml")
     assert "13 x 3 float64 at 30 Hz in m; y up, z forward" in " ".join(told[1].split())

@@ -10,19 +10,19 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from devices.simulators import rendered_performer
-from devices.simulators.rendered_performer import EMPTY_S, POINTS, RenderedPerformer, camera_of
-from operators.body.background import Background
-from operators.body.left_right import unturned
-from operators.body.markers import Markers
-from operators.body.names import LANDMARKS, MARKERS, OTHER_SIDE, SEEN
-from operators.body.network import default_model
-from operators.body.persons import Persons
-from operators.body.placing import INSIDE, LENGTHS, placed
-from operators.body.pose_network import FIGURE, PoseNetwork
-from stream.chunk import Chunk, StreamSpec
-from stream.errors import InputError, KinegraphError, ParameterError
-from stream.operator import grid
+from kinegraph.devices.people import rendered_performer
+from kinegraph.devices.people.rendered_performer import EMPTY_S, POINTS, RenderedPerformer, camera_of
+from kinegraph.operators.body.background import Background
+from kinegraph.operators.body.left_right import unturned
+from kinegraph.operators.body.markers import Markers
+from kinegraph.operators.body.names import LANDMARKS, MARKERS, OTHER_SIDE, SEEN
+from kinegraph.operators.body.network.blazepose import default_model
+from kinegraph.operators.body.network.operator import FIGURE, PoseNetwork
+from kinegraph.operators.body.persons import Persons
+from kinegraph.operators.body.placing import INSIDE, LENGTHS, placed
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.errors import InputError, KinegraphError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.support.pose_model import pose_network_or_skip
 from tests.support.real import needs_data
 
@@ -553,7 +553,7 @@ def test_a_package_with_another_network_is_refused(tmp_path: Path, monkeypatch: 
     import io
     import tarfile
 
-    from operators.commands import fetch
+    from kinegraph.operators.commands import fetch
 
     path = tmp_path / "package.tgz"
     with tarfile.open(path, "w:gz") as archive:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.whole_pose.limb_kernel import ANKLE_AT, ELBOW_AT, HEAD_AT, HIP_AT, KNEE_AT, SHOULDER_AT, WRIST_AT
-from operators.whole_pose.marks_kernel import scale_body
-from stream.chunk import Samples
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import joints_of
+from kinegraph.operators.pose.limb_kernel import ANKLE_AT, ELBOW_AT, HEAD_AT, HIP_AT, KNEE_AT, SHOULDER_AT, WRIST_AT
+from kinegraph.operators.pose.marks_kernel import scale_body
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import joints_of
 
 PLACES = {
     HIP_AT: "UpperLeg", KNEE_AT: "LowerLeg", ANKLE_AT: "Foot", SHOULDER_AT: "UpperArm", ELBOW_AT: "LowerArm", WRIST_AT: "Hand",

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.body.bones import BONES, possible
-from operators.body.names import MARKERS
-from stream.chunk import Samples
+from kinegraph.operators.body.bones import BONES, possible
+from kinegraph.operators.body.names import MARKERS
+from kinegraph.stream.chunk import Samples
 
 DOWN = {
     "shoulder": 1.45,

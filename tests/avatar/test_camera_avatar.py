@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.simulators.rendered_performer import POINTS, RenderedPerformer, body_at, camera_of
-from operators.body.background import Background
-from operators.body.extrema import Extrema
-from operators.body.names import MARKERS
-from operators.body.persons import Persons
-from operators.body.surer import Surer
-from operators.whole_pose.footing import Footing
-from operators.whole_pose.operator import NOTES
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import joints_of, local_poses
-from stream.operator import grid
+from kinegraph.devices.people.rendered_performer import POINTS, RenderedPerformer, body_at, camera_of
+from kinegraph.operators.body.background import Background
+from kinegraph.operators.body.extrema import Extrema
+from kinegraph.operators.body.marker_fusion import Surer
+from kinegraph.operators.body.names import MARKERS
+from kinegraph.operators.body.persons import Persons
+from kinegraph.operators.pose.footing import Footing
+from kinegraph.operators.pose.operator import NOTES
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import joints_of, local_poses
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.avatar.camera_avatar import rendered_config, run_and_hear
 from tests.support.pose_model import pose_network_or_skip
 

@@ -14,22 +14,22 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from devices.simulators import rendered_performer
-from devices.simulators.rendered_performer import RenderedPerformer, camera_of
-from operators.body.background import Background
-from operators.body.extrema import Extrema
-from operators.body.markers import Markers
-from operators.body.persons import Persons
-from operators.body.pose_network import PoseNetwork
-from operators.body.surer import Surer
-from operators.one_euro import OneEuro
-from operators.predict import Predict
-from operators.whole_pose.footing import Footing
-from operators.whole_pose.operator import WholePose
-from stream.chunk import Array, Chunk, Samples, StreamSpec
-from stream.humanoid import BONES, NUMBERS, usual_body
-from stream.joint_tree import joints_of
-from stream.operator import grid
+from kinegraph.devices.people import rendered_performer
+from kinegraph.devices.people.rendered_performer import RenderedPerformer, camera_of
+from kinegraph.operators.body.background import Background
+from kinegraph.operators.body.extrema import Extrema
+from kinegraph.operators.body.marker_fusion import Surer
+from kinegraph.operators.body.markers import Markers
+from kinegraph.operators.body.network.operator import PoseNetwork
+from kinegraph.operators.body.persons import Persons
+from kinegraph.operators.filters.one_euro import OneEuro
+from kinegraph.operators.filters.predict import Predict
+from kinegraph.operators.pose.footing import Footing
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.stream.chunk import Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES, NUMBERS, usual_body
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.operator import grid
 from tests.support.pose_model import pose_network_or_skip
 
 Scene = Callable[[int, Array, Array], tuple[Array, Array]]

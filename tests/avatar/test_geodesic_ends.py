@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from operators.body import extrema
-from operators.body.extrema import Extrema, hips_between
-from operators.body.geodesic_kernel import extrema_of, middle_of, place_between, walk_back
-from operators.body.names import MARKERS
-from stream.chunk import Array, Chunk, Samples, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.body import extrema
+from kinegraph.operators.body.extrema import Extrema, hips_between
+from kinegraph.operators.body.geodesic_kernel import extrema_of, middle_of, place_between, walk_back
+from kinegraph.operators.body.names import MARKERS
+from kinegraph.stream.chunk import Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.operator import grid
 
 CAMERA = (60.0, 60.0, 23.5, 29.5)
 APART_M = 0.1

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.simulators.rendered_performer import POINTS
-from operators.body.ends import border_of, cut_off, head_cut_off, outside
+from kinegraph.devices.people.rendered_performer import POINTS
+from kinegraph.operators.body.ends import border_of, cut_off, head_cut_off, outside
 from tests.avatar.half_out import FIRST, LAST, HalfOut
 from tests.avatar.hidden_joints import late_flags, late_returns
 from tests.avatar.test_degraded_scenes import held, through

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
-from operators.whole_pose.operator import WholePose
-from operators.whole_pose.solve_kernel import place_marks
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.humanoid import BONES
-from stream.joint_tree import joints_of
-from stream.operator import grid
+from kinegraph.operators.pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.operators.pose.solve_kernel import place_marks
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.operator import grid
 from tests.avatar.test_whole_pose import POSES, RATE, TREE
 
 FACE = ("nose", "ear_l", "ear_r")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stream.humanoid import BONES
+from kinegraph.stream.domain.humanoid import BONES
 from tests.avatar.hidden_joints import hidden, late_flags, late_returns, leaning, played, relieved, touching_table
 from tests.avatar.test_degraded_scenes import Scene, chair, crossing, gone, half, held, invalid, through
 from tests.support.pose_model import pose_network_or_skip

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.simulators.rendered_performer import EMPTY_S, RenderedPerformer, camera_of
-from operators.body.background import Background
-from operators.body.persons import Persons
-from operators.body.pose_network import FIGURE, PoseNetwork
-from stream.chunk import Array, Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.devices.people.rendered_performer import EMPTY_S, RenderedPerformer, camera_of
+from kinegraph.operators.body.background import Background
+from kinegraph.operators.body.network.operator import FIGURE, PoseNetwork
+from kinegraph.operators.body.persons import Persons
+from kinegraph.stream.chunk import Array, Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 WIDTH, HEIGHT, RATE = 160, 120, 30.0
 CAMERA = dict(zip(("fx", "fy", "cx", "cy"), camera_of(WIDTH, HEIGHT), strict=True))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stream.chunk import Samples, StreamSpec
-from stream.errors import InputError
-from stream.joint_tree import JointTree, joints_of, local_poses
-from stream.mesh import Topology
+from kinegraph.stream.chunk import Samples, StreamSpec
+from kinegraph.stream.domain.mesh import Topology
+from kinegraph.stream.domain.skeleton import JointTree, joints_of, local_poses
+from kinegraph.stream.errors import InputError
 
 RNG = np.random.default_rng(18)
 PARENTS = np.array([-1, 0, 1, 1, 3, 0])

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.simulators.before_camera import BeforeCamera
-from devices.simulators.rendered_performer import RenderedPerformer
-from operators.body.components import components, measure, only
-from stream.chunk import NS, Chunk
+from kinegraph.devices.people.before_camera import BeforeCamera
+from kinegraph.devices.people.rendered_performer import RenderedPerformer
+from kinegraph.operators.body.components import components, measure, only
+from kinegraph.stream.chunk import NS, Chunk
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from operators.body.left_right import LIMBS, _legs_exchanged, _upright, exchange_legs, unturned
-from operators.body.legs import across, own_legs
-from operators.body.placing import FARTHER_M, INSIDE, LENGTHS, TWINS_M, _at_length, _trunk, _without_hidden
-from stream.chunk import Samples
+from kinegraph.operators.body.left_right import LIMBS, _legs_exchanged, _upright, exchange_legs, unturned
+from kinegraph.operators.body.legs import across, own_legs
+from kinegraph.operators.body.placing import FARTHER_M, INSIDE, LENGTHS, TWINS_M, _at_length, _trunk, _without_hidden
+from kinegraph.stream.chunk import Samples
 
 CAMERA = np.array([500.0, 480.0, 320.0, 200.0])
 RNG = np.random.default_rng(97)

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.body.network import READ, _interpreter, default_model, look
-from operators.body.trimmed import trimmed
-from stream.errors import ParameterError
+from kinegraph.operators.body.network.blazepose import READ, _interpreter, default_model, look
+from kinegraph.operators.body.network.trimmed import trimmed
+from kinegraph.stream.errors import ParameterError
 from tests.support.pose_model import pose_network_or_skip
 
 

@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.files.timing import grid_of
-from operators.whole_pose.from_markers import solved
-from operators.whole_pose.landmarks import NAMES, USUAL
-from operators.whole_pose.learn import learn_pose, lesson_of, lessons_of, scale_of
-from operators.whole_pose.regions_kernel import shown_by_region
-from stream import cli
-from stream.chunk import Samples, StreamSpec, grid
-from stream.errors import KinegraphError
-from stream.humanoid import BONES as HUMANOID
-from stream.humanoid import find_bones, to_humanoid
-from stream.joint_tree import JointTree, joints_of
-from stream.model import ModelError, read_model, write_model
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.formats.timing import grid_of
+from kinegraph.operators.pose.from_markers import solved
+from kinegraph.operators.pose.landmarks import NAMES, USUAL
+from kinegraph.operators.pose.learn import learn_pose, lesson_of, lessons_of, scale_of
+from kinegraph.operators.pose.regions_kernel import shown_by_region
+from kinegraph.stream.chunk import Samples, StreamSpec, grid
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.domain.humanoid import BONES as HUMANOID
+from kinegraph.stream.domain.humanoid import find_bones, to_humanoid
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.avatar.test_whole_pose import POSES, RATE, TREE, N, marks, played
 from tests.support.real import needs_data
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from operators.body.relief import GREY, Relief
-from stream.chunk import Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.body.network.relief import GREY, Relief
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 
 def lit(frame: Any, reach: int) -> Any:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from operators.whole_pose.rotation_kernel import from_matrix, from_six, part_way
-from stream.chunk import Samples
+from kinegraph.operators.pose.rotation_kernel import from_matrix, from_six, part_way
+from kinegraph.stream.chunk import Samples
 
 
 def quaternion(rotation: Rotation) -> Samples:

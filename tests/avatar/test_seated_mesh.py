@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from bench.body_render import CAMERA, HEIGHT, Studio, studio
-from operators.whole_pose.footing import Footing
-from stream.chunk import Array
-from stream.humanoid import BONES
+from kinegraph.operators.pose.footing import Footing
+from kinegraph.stream.chunk import Array
+from kinegraph.stream.domain.humanoid import BONES
 from tests.avatar import test_degraded_scenes as scenes
 from tests.avatar.test_degraded_scenes import AvatarChain, Following, held
 from tests.support.pose_model import pose_network_or_skip

@@ -7,23 +7,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.page.shown import described, kind_of
-from devices.simulators.quadruped import AROUND, LEGS, TwoActors, marked, topology, walking
-from operators.channels import Select
-from operators.steering.actors import Actors
-from operators.steering.fit import fit_steering
-from operators.steering.operator import QUADRUPED, SteerMesh
-from operators.steering.parts import blend_weights, edges_of, fewest_parts, near_rigid_parts, rigid_error
-from operators.steering.regression import learn
-from operators.steering.stored import KIND, from_model
-from stream import cli
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.errors import InputError, KinegraphError, ParameterError
-from stream.mesh import Topology
-from stream.model import ModelError, read_model, write_model
-from stream.operator import grid
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.page.transfer.catalogue import described, kind_of
+from kinegraph.devices.people.quadruped import AROUND, LEGS, TwoActors, marked, topology, walking
+from kinegraph.operators.filters.channels import Select
+from kinegraph.operators.steering.actors import Actors
+from kinegraph.operators.steering.model.fit import fit_steering
+from kinegraph.operators.steering.model.parts import (
+    blend_weights,
+    edges_of,
+    fewest_parts,
+    near_rigid_parts,
+    rigid_error,
+)
+from kinegraph.operators.steering.model.regression import learn
+from kinegraph.operators.steering.model.stored import KIND, from_model
+from kinegraph.operators.steering.operator import QUADRUPED, SteerMesh
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.domain.mesh import Topology
+from kinegraph.stream.errors import InputError, KinegraphError, ParameterError
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS, made
 
 NAMES = tuple(marked())

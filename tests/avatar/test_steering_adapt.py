@@ -11,26 +11,26 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.simulators.quadruped import LEGS, marked, topology, walking
-from operators.steering.adapt import _ahead, _change, adapt, limb_frames, matched, nearest_frames
-from operators.steering.choose import Method, best_of, choose, regression_of
-from operators.steering.commands import report
-from operators.steering.exchanged import ExchangedNames
-from operators.steering.fit import Steering, fit_steering, fit_straight
-from operators.steering.graph_ranges import graph_matched
-from operators.steering.marker_frame import MarkerFrame, _largest, see_from
-from operators.steering.operator import SteerMesh
-from operators.steering.pose_parameters import MarkerGraph
-from operators.steering.regions import Regions
-from operators.steering.regression import learn
-from operators.steering.soft import faded
-from operators.steering.stored import KIND, from_model, to_arrays
-from stream import cli
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.errors import KinegraphError
-from stream.model import ModelError, read_model, write_model
-from stream.operator import grid
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.people.quadruped import LEGS, marked, topology, walking
+from kinegraph.operators.steering.commands import report
+from kinegraph.operators.steering.model.adapt import _ahead, _change, adapt, limb_frames, matched, nearest_frames
+from kinegraph.operators.steering.model.choose import Method, best_of, choose, regression_of
+from kinegraph.operators.steering.model.fit import Steering, fit_steering, fit_straight
+from kinegraph.operators.steering.model.graph_ranges import graph_matched
+from kinegraph.operators.steering.model.marker_frame import MarkerFrame, _largest, see_from
+from kinegraph.operators.steering.model.pose_parameters import MarkerGraph
+from kinegraph.operators.steering.model.regions import Regions
+from kinegraph.operators.steering.model.regression import learn
+from kinegraph.operators.steering.model.soft import faded
+from kinegraph.operators.steering.model.stored import KIND, from_model, to_arrays
+from kinegraph.operators.steering.operator import SteerMesh
+from kinegraph.operators.steering.swapped_markers import ExchangedNames
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
 
 NAMES, AT = tuple(marked()), np.array(list(marked().values()))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.simulators.quadruped import marked, topology, walking
-from operators.steering.adapt import about, adapt
-from operators.steering.fit import fit_steering
-from stream.chunk import Samples
+from kinegraph.devices.people.quadruped import marked, topology, walking
+from kinegraph.operators.steering.model.adapt import about, adapt
+from kinegraph.operators.steering.model.fit import fit_steering
+from kinegraph.stream.chunk import Samples
 
 NAMES, AT = tuple(marked()), np.array(list(marked().values()))
 STRIDE = np.array([walking(k / 24) for k in range(0, 24, 2)])

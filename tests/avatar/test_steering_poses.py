@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.simulators.quadruped import marked, topology, walking
-from operators.steering.adapt import adapt
-from operators.steering.choose import regression_of
-from operators.steering.fit import Layout, Steering, fit_steering
-from operators.steering.pose_parameters import MarkerGraph, PoseKind, backward
-from operators.steering.regression import FAR, Regression, learn
-from operators.steering.skeleton import joint_of, quaternions, tree_of, turn_of
-from operators.steering.stored import KIND, from_model, to_arrays
-from stream import cli
-from stream.chunk import Samples
-from stream.errors import KinegraphError
-from stream.mesh import Topology
-from stream.model import ModelError, read_model, write_model
-from stream.operator import grid
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.people.quadruped import marked, topology, walking
+from kinegraph.operators.steering.model.adapt import adapt
+from kinegraph.operators.steering.model.choose import regression_of
+from kinegraph.operators.steering.model.fit import Layout, Steering, fit_steering
+from kinegraph.operators.steering.model.pose_parameters import MarkerGraph, PoseKind, backward
+from kinegraph.operators.steering.model.regression import FAR, Regression, learn
+from kinegraph.operators.steering.model.skeleton import joint_of, quaternions, tree_of, turn_of
+from kinegraph.operators.steering.model.stored import KIND, from_model, to_arrays
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.domain.mesh import Topology
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
 from tests.support.steered_mesh import steered
 

@@ -8,22 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.simulators.quadruped import marked, topology, walking
-from operators.steering.adapt import adapt
-from operators.steering.choose import choose
-from operators.steering.fit import Layout, PoseRegression, Steering, fit_steering
-from operators.steering.limb_paths import blended, limb_paths, shared_weights
-from operators.steering.parts import edges_of
-from operators.steering.settling import ROUNDS, STIFF, Settling, SoftShapes
-from operators.steering.stored import KIND, from_model, to_arrays
-from operators.steering.turns import matrix, rigid
-from stream import cli
-from stream.chunk import Samples
-from stream.errors import KinegraphError
-from stream.mesh import Topology
-from stream.model import ModelError, read_model, write_model
-from stream.operator import grid
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.people.quadruped import marked, topology, walking
+from kinegraph.operators.steering.model.adapt import adapt
+from kinegraph.operators.steering.model.choose import choose
+from kinegraph.operators.steering.model.fit import Layout, PoseRegression, Steering, fit_steering
+from kinegraph.operators.steering.model.limb_paths import blended, limb_paths, shared_weights
+from kinegraph.operators.steering.model.parts import edges_of
+from kinegraph.operators.steering.model.settling import ROUNDS, STIFF, Settling, SoftShapes
+from kinegraph.operators.steering.model.stored import KIND, from_model, to_arrays
+from kinegraph.operators.steering.model.turns import matrix, rigid
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.domain.mesh import Topology
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
 from tests.support.steered_mesh import steered
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.body.geodesic_kernel import surface_at
+from kinegraph.operators.body.geodesic_kernel import surface_at
 
 
 @pytest.mark.parametrize(("known", "deep"), [(7, False), (8, True), (24, True)])

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import structlog
 
-from devices.simulators.quadruped import marked, topology
-from operators.whole_pose.landmarks import BONE_OF, NAMES
-from operators.whole_pose.operator import WholePose
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import joints_of, multiply
-from stream.operator import grid
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.people.quadruped import marked, topology
+from kinegraph.operators.pose.landmarks import BONE_OF, NAMES
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import joints_of, multiply
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.avatar.test_steering import STRIDE
 from tests.support.command_line import Command
 

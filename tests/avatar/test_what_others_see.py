@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.vmc import VmcOutlet
-from devices.protocols.osc import read_osc
-from devices.protocols.vmc_frames import VmcFrames
-from devices.simulators.performer import true_pose
-from stream.chunk import Chunk, Samples
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import JointTree, joints_of
-from stream.recording import Recording
+from kinegraph.devices.osc.protocol import read_osc
+from kinegraph.devices.osc.vmc_frames import VmcFrames
+from kinegraph.devices.osc.vmc_outlet import VmcOutlet
+from kinegraph.devices.people.performer import true_pose
+from kinegraph.stream.chunk import Chunk, Samples
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import KINEGRAPH
 from tests.support.real import needs_data
 
@@ -33,8 +33,8 @@ LIMBS = {
 ENDS = {"UpperArm": "LowerArm", "LowerArm": "Hand", "UpperLeg": "LowerLeg", "LowerLeg": "Foot"}
 RELAY = """
 nodes:
-  tracker: {use: devices.vmc.Vmc, port: %d}
-  vmc: {use: devices.outlets.vmc.VmcOutlet, from: {pose: tracker}, port: %d}
+  tracker: {use: devices.osc.vmc_inlet.Vmc, port: %d}
+  vmc: {use: devices.osc.vmc_outlet.VmcOutlet, from: {pose: tracker}, port: %d}
 record: [tracker]
 """
 

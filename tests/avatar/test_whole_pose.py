@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.one_euro import OneEuro
-from operators.whole_pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
-from operators.whole_pose.limb_kernel import two_bones
-from operators.whole_pose.operator import WholePose
-from stream import cli
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.humanoid import BONES, PARENTS, find_bones, to_humanoid, usual_body
-from stream.joint_tree import JointTree, joints_of
-from stream.operator import grid
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.operators.filters.one_euro import OneEuro
+from kinegraph.operators.pose.landmarks import BONE_OF, FROM_BONE, NAMES, USUAL
+from kinegraph.operators.pose.limb_kernel import two_bones
+from kinegraph.operators.pose.operator import WholePose
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.domain.humanoid import BONES, PARENTS, find_bones, to_humanoid, usual_body
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 
 RATE, N = 30.0, 240
 TREE = usual_body()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.aligned_clusters import align_back, aligned_clusters
-from stream.chunk import Samples
+from kinegraph.stream.chunk import Samples
 
 
 def alignment(k: Samples) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.comeback import RATE_HZ, kept, returned
-from devices.simulators.misbehaviour import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
 
 
 def test_what_was_offered_and_how_late_it_came_back() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bench.facing import trained, turned_round
-from operators.body.facing import CELLS
+from kinegraph.operators.body.facing import CELLS
 
 
 def test_a_heading_is_learned_from_shapes() -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from bench.gait import Cycles, plain_distance, plain_features, section, walkers
 from bench.mixtures import alarms
-from operators.emg.mixture_distance import cauchy_schwarz
-from operators.emg.mixtures import PeakMixtures
-from operators.steps.step_kernel import COUNT, describe
+from kinegraph.operators.emg.mixtures.distance import cauchy_schwarz
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+from kinegraph.operators.steps.step_kernel import COUNT, describe
 
 pytest.importorskip("sklearn", reason="scikit-learn is not installed")
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from bench.camera_latency import lag_of_wrists, rendered_config
-from devices.simulators.rendered_performer import POINTS
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import joints_of
-from stream.operator import grid
+from kinegraph.devices.people.rendered_performer import POINTS
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.operator import grid
 
 
 @pytest.mark.parametrize("frames", [0, 2, 4])

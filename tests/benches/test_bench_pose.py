@@ -7,7 +7,7 @@ import pytest
 
 from bench.pose_feet import FEET, foot_steps
 from bench.pose_seated import UPPER, errors, fastest
-from stream.humanoid import BONES, usual_body
+from kinegraph.stream.domain.humanoid import BONES, usual_body
 
 TREE = usual_body()
 REST = np.concatenate([TREE.offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], len(BONES))])

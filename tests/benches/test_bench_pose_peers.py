@@ -11,8 +11,8 @@ import pytest
 from bench import pose_peers
 from bench.engines import EngineError
 from bench.pose_peers import ENDS, _mean_turn, _row, _turns, fetched, kalidokit, ways
-from stream.chunk import Samples
-from stream.humanoid import BONES, usual_body
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.humanoid import BONES, usual_body
 
 TREE = usual_body()
 REST = np.concatenate([TREE.offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], len(BONES))])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from bench.scenes import PLAIN, SCENES, Visited, VisitedRenderer, row, truth_of
-from operators.sleep.evaluation.agreement import Confusion
+from kinegraph.operators.sleep.evaluation.agreement import Confusion
 from tests.support.rendered_room import Renderer
 
 

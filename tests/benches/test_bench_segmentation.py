@@ -14,7 +14,7 @@ from bench import batch
 from bench.bundling import pairs, warped
 from bench.missing import off_by, seen
 from bench.rests import behind, counted
-from operators.segmentation.evaluation.found import Found
+from kinegraph.operators.segmentation.evaluation.found import Found
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,9 +10,9 @@ import pytest
 from bench.night import night
 from bench.pictures import face, finer, simplified
 from bench.sleep import Numpy, OpenCV, blocks_of, learned, movement, numpy_fixed
-from devices.simulators.bedroom import Bedroom
-from devices.simulators.night import made_up, plan
-from stream.chunk import Array, Chunk
+from kinegraph.devices.people.bedroom import Bedroom
+from kinegraph.devices.people.night import made_up, plan
+from kinegraph.stream.chunk import Array, Chunk
 
 
 @pytest.fixture(scope="module")

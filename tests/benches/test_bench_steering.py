@@ -8,7 +8,7 @@ import pytest
 from bench.steering import REFERENCE, nearest_sum
 from bench.steering_gradients import Surface, Turned
 from bench.steering_meshes import MovingMesh, compared
-from devices.simulators.quadruped import marked, topology, walking
+from kinegraph.devices.people.quadruped import marked, topology, walking
 
 STRIDE = np.array([walking(k / 48) for k in range(48)])
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from devices.simulators.device_model import DeviceModel
-from devices.simulators.misbehaviour import GOOD, Misbehaviour, Mishaps
-from stream.chunk import NS
-from stream.source import Source
+from kinegraph.devices.simulation.device_model import DeviceModel
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.source import Source
 from tests.support.device_feed import Kept
 
 STEP_S = 0.002
@@ -89,8 +89,8 @@ def played(
     """What the source made of so many seconds of the device; each packet comes .5 ms late and up to `jitter_s` more."""
     feed, random = Arriving(), np.random.default_rng(5)
     cable = Cable(brain, feed, seconds, lambda _: 0.0005 + jitter_s * float(random.random()), Mishaps(misbehaviour))
-    monkeypatch.setattr("devices.transport.serial_source.connect", lambda *_: cable)
-    monkeypatch.setattr("devices.clocks.clock_log.time.monotonic", lambda: cable.now_s)
+    monkeypatch.setattr("kinegraph.devices.transport.serial_source.connect", lambda *_: cable)
+    monkeypatch.setattr("kinegraph.devices.clocks.clock_log.time.monotonic", lambda: cable.now_s)
     source.specs()
     source.prepare()
     source.read(feed)

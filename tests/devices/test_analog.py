@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from devices.analog.inputs import AnalogInput
-from devices.analog.labjack import LabJack
-from devices.analog.nidaq import NiDaq
-from operators.force_plate import ForcePlate
-from stream.chunk import StreamSpec
-from stream.errors import DeviceError, ParameterError
+from kinegraph.devices.analog.inputs import AnalogInput
+from kinegraph.devices.analog.labjack import LabJack
+from kinegraph.devices.analog.nidaq import NiDaq
+from kinegraph.operators.contacts.force_plate import ForcePlate
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import DeviceError, ParameterError
 from tests.devices.ni_driver import LjmLibrary, NiDriver
 from tests.support.device_feed import check, reading, wait_for
 from tests.support.one_stream import run

@@ -7,19 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.ascii_lines import AsciiLines, LinesReading
-from devices.clocks.device_clock import DeviceClock
-from devices.clocks.device_time import DeviceTime
-from devices.clocks.stamps import Stamps
-from devices.protocols.ascii_lines import LineDecoder
-from devices.simulators.ascii_lines import LinesModel
-from devices.simulators.ascii_lines import SimulatedAsciiLines as Simulated
-from devices.simulators.lines import line_at
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.serve import Server
-from stream.chunk import NS
-from stream.errors import DeviceError, ParameterError
-from stream.params import build
+from kinegraph.devices.clocks.device_clock import DeviceClock
+from kinegraph.devices.clocks.device_time import DeviceTime
+from kinegraph.devices.clocks.stamps import Stamps
+from kinegraph.devices.lines.protocol import LineDecoder
+from kinegraph.devices.lines.simulator import LinesModel
+from kinegraph.devices.lines.simulator import SimulatedAsciiLines as Simulated
+from kinegraph.devices.lines.source import AsciiLines, LinesReading
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import build
 from tests.support.device_feed import Kept, check, cut, reading, wait_for
 
 ROWS = np.random.default_rng(1).integers(-9999, 9999, (80, 3))
@@ -243,14 +243,14 @@ def test_a_header_is_awaited_and_its_absence_told(monkeypatch: pytest.MonkeyPatc
     with served(columns=("t", "a", "b"), time="t", header=True) as server:
         with reading(AsciiLines(server.address, ("b", "t"), header=True, time="t", rate_hz=500.0)) as feed:
             wait_for(lambda: feed.count("out") >= 50)
-        monkeypatch.setattr("devices.ascii_lines.HEADER_S", 0.5)
+        monkeypatch.setattr("kinegraph.devices.lines.HEADER_S", 0.5)
         with reading(AsciiLines(server.address, ("b", "c"), header=True)) as feed:
             wait_for(lambda: feed.error is not None)
     assert isinstance(feed.error, DeviceError) and "a line that names b,c; came" in str(feed.error)
 
 
 def test_lines_of_another_kind_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.ascii_lines.FIRST_LINE_S", 0.4)
+    monkeypatch.setattr("kinegraph.devices.lines.FIRST_LINE_S", 0.4)
     with served(columns=("a", "b")) as server, reading(AsciiLines(server.address, ("a", "b", "c"))) as feed:
         wait_for(lambda: feed.error is not None)
     assert "expected 3 numbers, a,b,c; came" in str(feed.error) and feed.problems["bad line"] > 10

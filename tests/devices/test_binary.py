@@ -11,20 +11,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.binary import Binary
-from devices.protocols.checksum_fit import fitting
-from devices.protocols.checksums import CHECKSUMS
-from devices.protocols.declared import Field, Frame
-from devices.protocols.frame_decoder import FrameDecoder
-from devices.protocols.frame_layout import FrameLayout
-from devices.simulators.binary import BinaryModel
-from devices.simulators.lines import line_at
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.serve import Server
-from stream.chunk import NS
-from stream.errors import DeviceError, ParameterError
-from stream.graph.load import load
-from stream.params import build
+from kinegraph.devices.frames.checksum_fit import fitting
+from kinegraph.devices.frames.checksums import CHECKSUMS
+from kinegraph.devices.frames.declared import Field, Frame
+from kinegraph.devices.frames.decoder import FrameDecoder
+from kinegraph.devices.frames.layout import FrameLayout
+from kinegraph.devices.frames.simulator import BinaryModel
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.params import build
 from tests.support.device_feed import Kept, check, cut, reading, wait_for
 
 WITMOTION = Path(__file__).resolve().parents[2] / "configs" / "witmotion.yaml"
@@ -300,7 +300,7 @@ def test_frames_without_clock_and_counter() -> None:
 
 
 def test_bytes_of_another_device_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.declaration_check.FIRST_FRAME_S", 0.3)
+    monkeypatch.setattr("kinegraph.devices.frames.declaration_check.FIRST_FRAME_S", 0.3)
     server, _ = served(Binary("", (PAIR[0],)))
     wrong = Binary("", (replace(PAIR[0], checksum="xor8"),))
     again, _ = served(Binary("", (PAIR[0],)))

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.bitalino import Bitalino, BitalinoChannel
-from devices.clocks.short_counter import ShortCounter
-from devices.protocols import bitalino as protocol
-from devices.protocols.bitalino import BitalinoDecoder, BitalinoFrames, crc_of, frame, size_of, widths
-from devices.simulators.bitalino import BitalinoModel
-from devices.simulators.lines import line_at
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.serve import Server
-from stream.chunk import NS
-from stream.errors import DeviceError, ParameterError
-from stream.params import build
+from kinegraph.devices.bitalino import protocol as protocol
+from kinegraph.devices.bitalino.protocol import BitalinoDecoder, BitalinoFrames, crc_of, frame, size_of, widths
+from kinegraph.devices.bitalino.simulator import BitalinoModel
+from kinegraph.devices.bitalino.source import Bitalino, BitalinoChannel
+from kinegraph.devices.clocks.short_counter import ShortCounter
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import build
 from tests.support.device_feed import Kept, check, cut, reading, wait_for
 
 RNG = np.random.default_rng(5)
@@ -236,7 +236,7 @@ def test_a_wrong_answer_is_told(answer: bytes, told: str, monkeypatch: pytest.Mo
         def _obey(self, command: int) -> bytes:
             return answer if command == 0x07 else super()._obey(command)
 
-    monkeypatch.setattr("devices.bitalino.ANSWER_S", 0.4)
+    monkeypatch.setattr("kinegraph.devices.bitalino.ANSWER_S", 0.4)
     feed = read(Other(), 1)
     assert isinstance(feed.error, DeviceError) and told in str(feed.error)
 

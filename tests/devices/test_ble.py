@@ -9,32 +9,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.ascii_lines import AsciiLines
-from devices.binary import Binary
-from devices.ble.dot import MovellaDot
-from devices.ble.ganglion import Ganglion
-from devices.ble.heart_rate import HeartRate
-from devices.ble.link import BleLink
-from devices.ble.polar import Polar
-from devices.ble.radio import uuid
-from devices.ble.source import BleSource
-from devices.ble.targets import targets_of
-from devices.ble.treadmill import FtmsTreadmill
-from devices.protocols import movella_dot, polar_pmd
-from devices.protocols.ganglion import UV, impedance_ohm
-from devices.protocols.packet_decoder import Framing
-from devices.simulators.binary import BinaryModel, notifying
-from devices.simulators.ble_radio import radio
-from devices.simulators.ftms_treadmill import FtmsBelt
-from devices.simulators.ganglion import GanglionBoard
-from devices.simulators.misbehaviour import Misbehaviour
-from devices.simulators.movella_dot import DotSensor
-from devices.simulators.polar import BEAT_S, ECG_FRAME, PolarBelt
-from devices.transport.transport import connect
-from stream.engine.session import Session
-from stream.errors import DeviceError
-from stream.graph.load import load, load_text
-from stream.impedance import LoneFeed
+from kinegraph.devices.ble.simulated_radio import radio
+from kinegraph.devices.ble.source import BleSource
+from kinegraph.devices.dot import protocol as movella_dot
+from kinegraph.devices.dot.simulator import DotSensor
+from kinegraph.devices.dot.source import MovellaDot
+from kinegraph.devices.fitness_treadmill.simulator import FtmsBelt
+from kinegraph.devices.fitness_treadmill.source import FtmsTreadmill
+from kinegraph.devices.fitness_treadmill.targets import targets_of
+from kinegraph.devices.frames.packet_decoder import Framing
+from kinegraph.devices.frames.simulator import BinaryModel, notifying
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.ganglion.protocol import UV, impedance_ohm
+from kinegraph.devices.ganglion.simulator import GanglionBoard
+from kinegraph.devices.ganglion.source import Ganglion
+from kinegraph.devices.heart_rate.source import HeartRate
+from kinegraph.devices.lines.source import AsciiLines
+from kinegraph.devices.polar import protocol as polar_pmd
+from kinegraph.devices.polar.simulator import BEAT_S, ECG_FRAME, PolarBelt
+from kinegraph.devices.polar.source import Polar
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.transport.ble_link import BleLink
+from kinegraph.devices.transport.ble_radio import uuid
+from kinegraph.devices.transport.transport import connect
+from kinegraph.stream.domain.impedance import LoneFeed
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.graph.reading.load import load, load_text
 from tests.support.device_feed import Kept, check, reading, wait_for
 
 pytest.importorskip("bleak")
@@ -315,9 +316,9 @@ def test_without_a_radio_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_treadmill_obeys_a_graph(tmp_path: Path) -> None:
     graph = load_text(
         "nodes:\n"
-        "  belt: {use: devices.ble.treadmill.FtmsTreadmill, device: Treadmill 7, control: true, most_kmh: 8}\n"
+        "  belt: {use: devices.fitness_treadmill.FtmsTreadmill, device: Treadmill 7, control: true, most_kmh: 8}\n"
         "  wish: {use: stream.manual.Value, initial: 1.5, unit: m/s}\n"
-        "  set: {use: devices.ble.treadmill_control.TreadmillControl, device: Treadmill 7, from: {speed: wish}}\n"
+        "  set: {use: devices.fitness_treadmill.control.TreadmillControl, device: Treadmill 7, from: {speed: wish}}\n"
     )
     with radio() as air:
         belt = FtmsBelt()

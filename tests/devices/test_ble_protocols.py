@@ -7,10 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.protocols import ftms, ganglion, heart_rate, movella_dot, polar_pmd
-from devices.protocols.ganglion import GanglionDecoder
-from devices.protocols.heart_rate import HeartRateSaid
-from devices.protocols.polar_pmd import PmdDecoder
+from kinegraph.devices.dot import protocol as movella_dot
+from kinegraph.devices.fitness_treadmill import protocol as ftms
+from kinegraph.devices.ganglion import protocol as ganglion
+from kinegraph.devices.ganglion.protocol import GanglionDecoder
+from kinegraph.devices.heart_rate import protocol as heart_rate
+from kinegraph.devices.heart_rate.protocol import HeartRateSaid
+from kinegraph.devices.polar import protocol as polar_pmd
+from kinegraph.devices.polar.protocol import PmdDecoder
 
 
 def test_heart_rate_vectors_of_the_polar_sdk() -> None:

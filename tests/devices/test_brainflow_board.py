@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.brainflow_board import BrainflowBoard
-from stream.errors import ParameterError
+from kinegraph.devices.brainflow.source import BrainflowBoard
+from kinegraph.stream.errors import ParameterError
 from tests.support.device_feed import check, reading, wait_for
 
 shim = pytest.importorskip("brainflow.board_shim")

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.clocks.device_clock import STEADY, DeviceClock
-from devices.simulators.indexed import Indexed
-from devices.simulators.misbehaviour import Misbehaviour
-from stream.chunk import NS
-from stream.commands.info import clocks, facts
-from stream.engine.session import Session
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.clocks.device_clock import STEADY, DeviceClock
+from kinegraph.devices.lines.indexed_simulator import Indexed
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.cli.commands.info import clocks, facts
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command
 
 
@@ -21,7 +21,7 @@ def test_info_tells_of_the_clocks_of_two_devices_one_of_which_is_set(tmp_path: P
     wrong = Misbehaviour(jump_every_s=2.0, jump_s=3600.0)
     with Indexed(rate_hz=200).serving() as one, Indexed(rate_hz=100).serving(wrong) as other:
         nodes = "".join(
-            f"  {name}: {{use: devices.ascii_lines.AsciiLines, port: {port}, columns: [i, t, n], time: t, time_bits: 0, rate_hz: {hz}}}\n"
+            f"  {name}: {{use: devices.lines.AsciiLines, port: {port}, columns: [i, t, n], time: t, time_bits: 0, rate_hz: {hz}}}\n"
             for name, port, hz in (("left", one, 200), ("right", other, 100))
         )
         outcome = Session(load_text(f"nodes:\n{nodes}"), tmp_path / "s", duration_s=7).run()

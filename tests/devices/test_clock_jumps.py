@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.ascii_lines import AsciiLines
-from devices.binary import Binary
-from devices.clocks.device_clock import DeviceClock
-from devices.mti import Mti
-from devices.protocols.declared import Field, Frame
-from devices.simulators.binary import BinaryModel
-from devices.simulators.indexed import Indexed
-from devices.simulators.misbehaviour import Misbehaviour
-from devices.simulators.mti import MtiModel
-from stream.chunk import NS
+from kinegraph.devices.clocks.device_clock import DeviceClock
+from kinegraph.devices.frames.declared import Field, Frame
+from kinegraph.devices.frames.simulator import BinaryModel
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.lines.indexed_simulator import Indexed
+from kinegraph.devices.lines.source import AsciiLines
+from kinegraph.devices.mti.simulator import MtiModel
+from kinegraph.devices.mti.source import Mti
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.stream.chunk import NS
 from tests.devices.scripted import BEGAN, Arriving, played
 from tests.support.device_feed import check, reading, wait_for
 

@@ -11,12 +11,12 @@ import pytest
 
 HERE = Path(__file__).parent
 OWN = {
-    "belt": "devices.ble.polar.Polar, device: Polar H10, acceleration_hz: 50",
+    "belt": "devices.polar.Polar, device: Polar H10, acceleration_hz: 50",
     "mocap": "devices.natnet.NatNet, bodies: [Shank]",
     "imu": "devices.mti.Mti, port: /dev/none",
     "board": "devices.cyton.Cyton, port: /dev/none",
     "leg": "devices.shimmer.Shimmer, port: /dev/none, sensors: [emg]",
-    "lines": "devices.ascii_lines.AsciiLines, port: /dev/none, columns: [t, emg], time: t, rate_hz: 200",
+    "lines": "devices.lines.AsciiLines, port: /dev/none, columns: [t, emg], time: t, rate_hz: 200",
 }
 
 

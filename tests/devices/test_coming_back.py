@@ -6,23 +6,23 @@ from pathlib import Path
 
 import pytest
 
-from devices.discovery import serial_ports
-from devices.simulators.indexed import Indexed
-from devices.simulators.lines import line_at
-from devices.simulators.misbehaviour import Misbehaviour
-from devices.simulators.serve import Server
-from devices.transport.transport import connect, present
-from stream.engine.session import Session
-from stream.errors import DeviceError
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.discovery import serial_ports
+from kinegraph.devices.lines.indexed_simulator import Indexed
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.devices.transport.transport import connect, present
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 
 
 def test_what_is_not_there_is_not_opened_and_what_comes_back_is_opened_at_once(tmp_path: Path) -> None:
     wrong = Misbehaviour(unplug_every_s=2.0, unplug_s=1.0)
     with Indexed(rate_hz=200).serving(wrong) as port:
         graph = load_text(
-            f"nodes: {{lines: {{use: devices.ascii_lines.AsciiLines, port: {port}, columns: [i, t, n], time: t, rate_hz: 200}}}}"
+            f"nodes: {{lines: {{use: devices.lines.AsciiLines, port: {port}, columns: [i, t, n], time: t, rate_hz: 200}}}}"
         )
         outcome = Session(graph, tmp_path / "s", duration_s=11.5).run()
     assert outcome.error is None
@@ -58,9 +58,7 @@ def test_only_what_has_a_path_can_be_looked_for(address: str, there: bool | None
 def test_a_device_of_which_every_line_was_bad_is_no_success(tmp_path: Path) -> None:
     """Even where the session ended before the source's deadline."""
     with Indexed(rate_hz=200, trailing=",x").serving() as port:
-        graph = load_text(
-            f"nodes: {{lines: {{use: devices.ascii_lines.AsciiLines, port: {port}, columns: [i, t, n]}}}}"
-        )
+        graph = load_text(f"nodes: {{lines: {{use: devices.lines.AsciiLines, port: {port}, columns: [i, t, n]}}}}")
         outcome = Session(graph, tmp_path / "s", duration_s=2).run()
     assert outcome.error is None and outcome.exit_code == 3
 

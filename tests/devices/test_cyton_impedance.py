@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.cyton import Cyton
-from devices.protocols.cyton import ChannelSetting, CytonDecoder, impedance_ohm, lead_off, uv_per_count
-from devices.simulators.cyton import CytonModel, SimulatedCyton
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from operators.emg.commands.electrode_check import check_electrodes
-from stream.chunk import StreamSpec
-from stream.errors import DeviceError
-from stream.impedance import Impedance, LoneFeed
+from kinegraph.devices.cyton.protocol import ChannelSetting, CytonDecoder, impedance_ohm, lead_off, uv_per_count
+from kinegraph.devices.cyton.simulator import CytonModel, SimulatedCyton
+from kinegraph.devices.cyton.source import Cyton
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.operators.emg.commands.electrode_check import check_electrodes
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.domain.impedance import Impedance, LoneFeed
+from kinegraph.stream.errors import DeviceError
 from tests.support.command_line import Command
 from tests.support.emg_run import stamps
 
@@ -102,7 +102,7 @@ def test_the_check_shows_impedances_before_rest_and_contraction(kinegraph: Comma
     """The board of two electrode pairs, at its port, through the command that a laboratory calls."""
     graph = (
         "nodes:\n  board: {use: devices.cyton.Cyton, port: %s, channels: [TA, SO, c, d, e, f, g, h], settings: [%s]}\n"
-        "  muscles: {use: operators.channels.Select, from: board.emg, channels: [TA, SO]}\nrecord: [muscles]\n"
+        "  muscles: {use: operators.filters.channels.Select, from: board.emg, channels: [TA, SO]}\nrecord: [muscles]\n"
     )
     rest = ", ".join(f"{{channel: {k}, power: false}}" for k in range(3, 9))
     pairs = "{channel: 1, srb2: false}, {channel: 2, srb2: false}"

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.binary import Binary
-from devices.simulators.binary import BinaryModel
-from devices.simulators.datagrams import sending
-from devices.simulators.misbehaviour import Misbehaviour
-from devices.transport.transport import connect
-from stream.errors import DeviceError, ParameterError
-from stream.params import build
-from stream.recording import Recording
+from kinegraph.devices.frames.datagram_simulator import sending
+from kinegraph.devices.frames.simulator import BinaryModel
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.transport.transport import connect
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import build
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command
 from tests.support.device_feed import check, free_udp_port, is_bound, reading, wait_for
 
@@ -65,7 +65,7 @@ def test_a_network_that_loses_and_doubles() -> None:
 def test_it_runs_without_hardware(kinegraph: Command, tmp_path: Path) -> None:
     fields = "[{type: u8, role: counter}, {type: i12, name: a}, {type: i12, name: b}]"
     (tmp_path / "udp.yaml").write_text(
-        "nodes:\n  net:\n    use: devices.binary.Binary\n    port: udp://127.0.0.1:9000\n"
+        "nodes:\n  net:\n    use: devices.frames.Binary\n    port: udp://127.0.0.1:9000\n"
         f"    frames: [{{name: m, sync: '', rate_hz: 50, samples: 2, fields: {fields}}}]\n"
     )
     code, _, complaint = kinegraph("run", "udp.yaml", "--simulate", "--for", "2", "-o", "session", "--view", "none")

@@ -13,16 +13,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.binary import Binary
-from devices.protocols.cyton import CytonDecoder, packet
-from devices.protocols.declared import Field, Frame
-from devices.protocols.frame_decoder import FrameDecoder
-from devices.protocols.frame_layout import FrameLayout
-from devices.protocols.packet_decoder import EscapedDecoder, Framing, PacketDecoder, cobs, escaped, slip, uncobs, unslip
-from devices.usb.endpoint import Endpoint
-from stream.chunk import NS
-from stream.params import build
-from stream.recording import Recording
+from kinegraph.devices.cyton.protocol import CytonDecoder, packet
+from kinegraph.devices.frames.declared import Field, Frame
+from kinegraph.devices.frames.decoder import FrameDecoder
+from kinegraph.devices.frames.layout import FrameLayout
+from kinegraph.devices.frames.packet_decoder import (
+    EscapedDecoder,
+    Framing,
+    PacketDecoder,
+    cobs,
+    escaped,
+    slip,
+    uncobs,
+    unslip,
+)
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.usb.endpoint import Endpoint
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.params import build
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command
 from tests.support.device_feed import cut
 
@@ -159,7 +168,7 @@ def test_a_device_that_begins_to_count_again_loses_nothing() -> None:
 PACKED = """
 nodes:
   board:
-    use: devices.binary.Binary
+    use: devices.frames.Binary
     port: /dev/ttyUSB0
     framing: {framing}
     frames:

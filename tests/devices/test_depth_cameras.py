@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.cameras.kinect import AzureKinect
-from devices.cameras.orbbec import Orbbec, depth_of, pixels
-from devices.cameras.realsense import RealSense, in_mm
-from devices.discovery.depth_cameras import find_orbbec
-from devices.oak import Oak
-from devices.simulators.orbbec import SERIAL, OrbbecLibrary, camera
-from stream.errors import DeviceError, ParameterError
+from kinegraph.devices.cameras.discovery import find_orbbec
+from kinegraph.devices.cameras.kinect import AzureKinect
+from kinegraph.devices.cameras.orbbec import Orbbec, depth_of, pixels
+from kinegraph.devices.cameras.orbbec_simulator import SERIAL, OrbbecLibrary, camera
+from kinegraph.devices.cameras.realsense import RealSense, in_mm
+from kinegraph.devices.oak import Oak
+from kinegraph.stream.errors import DeviceError, ParameterError
 from tests.support.device_feed import check, reading, wait_for
 
 WIDTH, HEIGHT = 160, 120

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.clocks.device_clock import Counter, DeviceClock
-from stream.chunk import NS, Times
+from kinegraph.devices.clocks.device_clock import Counter, DeviceClock
+from kinegraph.stream.chunk import NS, Times
 
 
 def link(seconds: int, rate_hz: float, ppm: float, seed: int, offset_s: float = 1000.0) -> tuple[Times, Times, Times]:

@@ -12,13 +12,13 @@ import pytest
 from serial.tools.list_ports_common import ListPortInfo
 from usb.backend import libusb1
 
-from devices.commands.devices import devices
-from devices.commands.record import with_ports, written
-from devices.discovery import found
-from devices.discovery.serial_ports import BLUETOOTH, KNOWN, find
-from stream.errors import KinegraphError
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.commands.devices import devices
+from kinegraph.devices.commands.record import with_ports, written
+from kinegraph.devices.discovery import found
+from kinegraph.devices.discovery.serial_ports import BLUETOOTH, KNOWN, find
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 
 
 def port(device: str, vid: int | None = None, pid: int | None = None, **given: str) -> ListPortInfo:
@@ -118,7 +118,7 @@ def test_a_simulated_device_needs_no_port() -> None:
 
 def kinegraph(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "stream", *arguments],
+        [sys.executable, "-m", "kinegraph.stream", *arguments],
         capture_output=True, text=True, timeout=120, stdin=subprocess.DEVNULL, env={**os.environ, "COLUMNS": "160"},
     )  # fmt: skip
 
@@ -132,7 +132,7 @@ def test_a_recording_with_no_graph_can_be_replayed(tmp_path: Path) -> None:
     graph = tmp_path / "graph.yaml"
     graph.write_text(
         "nodes:\n  cyton: {use: devices.cyton.Cyton, port: none}\n"
-        "  low: {use: operators.iir.Lowpass, from: cyton.emg, cutoff_hz: 20}\nrecord: [low]\n"
+        "  low: {use: operators.filters.iir.Lowpass, from: cyton.emg, cutoff_hz: 20}\nrecord: [low]\n"
     )
     done = kinegraph("replay", str(graph), out)
     assert done.returncode == 0, done.stderr

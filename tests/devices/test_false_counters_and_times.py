@@ -10,12 +10,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from devices.ascii_lines import AsciiLines
-from devices.binary import Binary
-from devices.protocols.declared import Field, Frame
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from stream.chunk import NS
-from stream.errors import DeviceError, RunError
+from kinegraph.devices.frames.declared import Field, Frame
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.lines.source import AsciiLines
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError, RunError
 from tests.devices.scripted import BEGAN, Arriving, played
 from tests.support.device_feed import check
 

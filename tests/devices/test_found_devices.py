@@ -7,14 +7,15 @@ from typing import Any
 
 import pytest
 
-from devices.discovery import bluetooth, natnet
-from devices.simulators.ble_radio import radio
-from devices.simulators.ftms_treadmill import FtmsBelt
-from devices.simulators.movella_dot import DotSensor
-from devices.simulators.natnet import NatNetScene, NatNetServer
-from devices.simulators.orbbec import OrbbecLibrary, camera
-from devices.simulators.polar import PolarBelt
-from stream.graph.load import load_text
+from kinegraph.devices.ble.simulated_radio import radio
+from kinegraph.devices.cameras.orbbec_simulator import OrbbecLibrary, camera
+from kinegraph.devices.discovery import bluetooth
+from kinegraph.devices.dot.simulator import DotSensor
+from kinegraph.devices.fitness_treadmill.simulator import FtmsBelt
+from kinegraph.devices.natnet import discovery as natnet
+from kinegraph.devices.natnet.simulator import NatNetScene, NatNetServer
+from kinegraph.devices.polar.simulator import PolarBelt
+from kinegraph.stream.graph.reading.load import load_text
 from tests.support.command_line import Command
 
 

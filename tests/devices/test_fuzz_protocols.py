@@ -16,32 +16,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.protocols import (
-    bitalino,
-    cyton,
-    ftms,
-    heart_rate,
-    movella_dot,
-    natnet,
-    polar_pmd,
-    qualisys,
-    shimmer,
-    trigno,
-    xbus,
-)
-from devices.protocols.ascii_lines import LineDecoder
-from devices.protocols.declared import Field, Frame
-from devices.protocols.frame_decoder import FoundFrames, FrameDecoder
-from devices.protocols.frame_layout import FrameLayout
-from devices.protocols.ganglion import GanglionDecoder
-from devices.protocols.heart_rate import HeartRateSaid
-from devices.protocols.natnet import NatNetError
-from devices.protocols.natnet_build import build_frame, build_models
-from devices.protocols.osc import OscError, read_osc
-from devices.protocols.osc_write import bundles, floats
-from devices.protocols.packet_decoder import EscapedDecoder, escaped
-from devices.protocols.qualisys import QualisysError
-from devices.simulators.natnet import MODELS, NatNetScene
+from kinegraph.devices.bitalino import protocol as bitalino
+from kinegraph.devices.cyton import protocol as cyton
+from kinegraph.devices.dot import protocol as movella_dot
+from kinegraph.devices.fitness_treadmill import protocol as ftms
+from kinegraph.devices.frames.declared import Field, Frame
+from kinegraph.devices.frames.decoder import FoundFrames, FrameDecoder
+from kinegraph.devices.frames.layout import FrameLayout
+from kinegraph.devices.frames.packet_decoder import EscapedDecoder, escaped
+from kinegraph.devices.ganglion.protocol import GanglionDecoder
+from kinegraph.devices.heart_rate import protocol as heart_rate
+from kinegraph.devices.heart_rate.protocol import HeartRateSaid
+from kinegraph.devices.lines.protocol import LineDecoder
+from kinegraph.devices.mti import xbus
+from kinegraph.devices.natnet import protocol as natnet
+from kinegraph.devices.natnet.build import build_frame, build_models
+from kinegraph.devices.natnet.protocol import NatNetError
+from kinegraph.devices.natnet.simulator import MODELS, NatNetScene
+from kinegraph.devices.osc.protocol import OscError, read_osc
+from kinegraph.devices.osc.writer import bundles, floats
+from kinegraph.devices.polar import protocol as polar_pmd
+from kinegraph.devices.qualisys import protocol as qualisys
+from kinegraph.devices.qualisys.protocol import QualisysError
+from kinegraph.devices.shimmer import protocol as shimmer
+from kinegraph.devices.trigno import protocol as trigno
 from tests.support.device_feed import cut
 from tests.support.mutants import mutant
 

@@ -18,18 +18,18 @@ import numpy as np
 import parts
 import pytest
 
-from devices.discovery.lsl_streams import find as discovered
-from devices.lsl import LslInlet
-from devices.lsl.network import library
-from devices.lsl.stamps import NEWEST_S
-from devices.simulators.lsl import Lsl, Sender
-from devices.simulators.misbehaviour import Misbehaviour
-from stream.chunk import NS, Array
-from stream.commands.info import clocks
-from stream.engine.session import Session
-from stream.errors import DeviceError, GraphError
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.lsl import LslInlet
+from kinegraph.devices.lsl.discovery import find as discovered
+from kinegraph.devices.lsl.network import library
+from kinegraph.devices.lsl.simulator import Lsl, Sender
+from kinegraph.devices.lsl.stamps import NEWEST_S
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.cli.commands.info import clocks
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import DeviceError, GraphError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 from tests.devices.lsl_sender import can_be_elsewhere, process
 from tests.support import SUPPORT
 from tests.support.command_line import Command, kinegraph

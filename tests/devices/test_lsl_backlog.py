@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.lsl.metadata import Described
-from devices.lsl.pull import Pull
-from stream.chunk import Array, Samples
+from kinegraph.devices.lsl.metadata import Described
+from kinegraph.devices.lsl.pull import Pull
+from kinegraph.stream.chunk import Array, Samples
 from tests.support.device_feed import Kept
 
 RATE_HZ = 2000.0

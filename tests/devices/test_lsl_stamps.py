@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.lsl.clock import SenderClock
-from devices.lsl.stamps import NEWEST_S, STEADY_S, LslStamps
-from stream.chunk import NS, Samples
+from kinegraph.devices.lsl.clock import SenderClock
+from kinegraph.devices.lsl.stamps import NEWEST_S, STEADY_S, LslStamps
+from kinegraph.stream.chunk import NS, Samples
 
 ZERO = 1_700_000_000 * NS
 """Session time at which the local clock stood at 0."""

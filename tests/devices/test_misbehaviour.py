@@ -13,20 +13,27 @@ from typing import Any
 
 import pytest
 
-from devices.commands.simulate import simulate
-from devices.simulators import ascii_lines, bitalino, cyton, mti, oak, shimmer, trigno, usb_reports
-from devices.simulators.binary import BinaryModel
-from devices.simulators.indexed import Indexed
-from devices.simulators.lines import line_at
-from devices.simulators.lsl import Lsl
-from devices.simulators.misbehaviour import Misbehaviour
-from devices.simulators.serve import Server
-from stream.engine.session import Session
-from stream.engine.status import Outcome, Table
-from stream.graph import Graph
-from stream.graph.load import load_text
-from stream.recording import Recording
-from stream.source import Source
+from kinegraph.devices.bitalino import simulator as bitalino
+from kinegraph.devices.commands.simulate import simulate
+from kinegraph.devices.cyton import simulator as cyton
+from kinegraph.devices.frames.simulator import BinaryModel
+from kinegraph.devices.lines import simulator as ascii_lines
+from kinegraph.devices.lines.indexed_simulator import Indexed
+from kinegraph.devices.lsl.simulator import Lsl
+from kinegraph.devices.mti import simulator as mti
+from kinegraph.devices.oak import simulator as oak
+from kinegraph.devices.shimmer import simulator as shimmer
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.devices.trigno import simulator as trigno
+from kinegraph.devices.usb import simulated_reports as usb_reports
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.status import Outcome, Table
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.source import Source
 
 WRONG = Misbehaviour(
     lose=0.04, duplicate=0.04, corrupt=0.06, from_s=1.0, seed=1,
@@ -58,10 +65,10 @@ ALL = {"lose": LOST, "duplicate": TWICE, "corrupt": BROKEN, "reset": ANEW}
 DEVICES = {
     "cyton": Device("use: devices.cyton.Cyton, port: ''", ALL),
     "ascii": Device(
-        "use: devices.ascii_lines.AsciiLines, port: '', columns: [n, us, a], counter: n, time: us, rate_hz: 200", ALL
+        "use: devices.lines.AsciiLines, port: '', columns: [n, us, a], counter: n, time: us, rate_hz: 200", ALL
     ),
     "binary": Device(
-        "use: devices.binary.Binary, port: '', frames: [{name: x, sync: A5 5A, rate_hz: 200, checksum: sum8, fields: "
+        "use: devices.frames.Binary, port: '', frames: [{name: x, sync: A5 5A, rate_hz: 200, checksum: sum8, fields: "
         "[{type: u8, role: counter}, {type: u32, role: time, unit: us}, {name: a, type: i16}]}]",
         ALL,
     ),
@@ -100,7 +107,7 @@ DEVICES = {
 if find_spec("depthai") is None:
     del DEVICES["oak"]
 HEALTHY = """
-  healthy: {use: devices.simulators.treadmill.Treadmill}
+  healthy: {use: devices.people.treadmill.Treadmill}
   envelope: {use: operators.emg.Envelope, from: healthy.emg}
 """
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.lsl import LslInlet
-from devices.simulators.mocap import LABELS, Mocap
-from devices.simulators.named import named
-from stream.chunk import NS
+from kinegraph.devices.lsl import LslInlet
+from kinegraph.devices.lsl.mocap_simulator import LABELS, Mocap
+from kinegraph.devices.simulation.catalogue import named
+from kinegraph.stream.chunk import NS
 from tests.support.device_feed import check, reading, wait_for
 
 

@@ -13,19 +13,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.clocks.tick_clock import TickClock
-from devices.mti import Mti
-from devices.protocols import xbus
-from devices.simulators.lines import line_at
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.mti import MtiModel
-from devices.simulators.mti import SimulatedMti as Simulated
-from devices.simulators.serve import Server
-from devices.simulators.walking_limb import Limb
-from stream.chunk import NS
-from stream.errors import DeviceError, ParameterError
-from stream.params import build
-from stream.recording.reader import Recording
+from kinegraph.devices.clocks.tick_clock import TickClock
+from kinegraph.devices.mti import xbus
+from kinegraph.devices.mti.simulator import MtiModel
+from kinegraph.devices.mti.simulator import SimulatedMti as Simulated
+from kinegraph.devices.mti.source import Mti
+from kinegraph.devices.people.walking_limb import Limb
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import build
+from kinegraph.stream.recording.read.reader import Recording
 from tests.support.device_feed import Kept, check, reading, wait_for
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "imu_steps.yaml"
@@ -217,7 +217,7 @@ class Answers(MtiModel):
 def test_a_wrong_answer_is_told(
     words: dict[int, bytes], given: dict[str, object], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("devices.transport.xbus_commands.ANSWER_S", 0.3)
+    monkeypatch.setattr("kinegraph.devices.mti.xbus_commands.ANSWER_S", 0.3)
     brain = Answers(words)
     brain._measuring = False
     with served(brain) as server:
@@ -304,7 +304,18 @@ def test_a_restart_within_a_read() -> None:
 @contextmanager
 def recorded(folder: Path, *more: str) -> Iterator[Recording]:
     """The steps config, run for a while on the simulated sensor."""
-    command = [sys.executable, "-m", "stream", "run", str(CONFIG), "--simulate", "--for", "12", "-o", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "kinegraph.stream",
+        "run",
+        str(CONFIG),
+        "--simulate",
+        "--for",
+        "12",
+        "-o",
+        str(folder),
+    ]
     done = subprocess.run(
         [*command, "--view", "none", *more],
         capture_output=True,

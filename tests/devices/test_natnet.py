@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.natnet import NatNet
-from devices.protocols import natnet as protocol
-from devices.protocols.natnet import NatNetError, Version
-from devices.protocols.natnet_build import build_frame, build_models
-from devices.simulators.misbehaviour import Misbehaviour
-from devices.simulators.natnet import MODELS, NatNetScene, NatNetServer
+from kinegraph.devices.natnet import protocol as protocol
+from kinegraph.devices.natnet.build import build_frame, build_models
+from kinegraph.devices.natnet.protocol import NatNetError, Version
+from kinegraph.devices.natnet.simulator import MODELS, NatNetScene, NatNetServer
+from kinegraph.devices.natnet.source import NatNet
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
 from tests.support.device_feed import check, reading, wait_for
 
 VERSIONS: list[Version] = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from devices.natnet import NatNet, NatNetReading
-from devices.natnet_names import NatNetNames
-from devices.protocols import natnet as protocol
-from devices.protocols.natnet import OCCLUDED, SIZED, NatNetError, NatNetFrame, ServerInfo, Version
-from devices.protocols.natnet_build import build_frame, build_models
-from devices.protocols.natnet_numbers import HEAD, LONGEST_S
-from devices.simulators.natnet import MODELS, TICK_HZ, NatNetScene
-from stream.chunk import Samples
+from kinegraph.devices.natnet import protocol as protocol
+from kinegraph.devices.natnet.build import build_frame, build_models
+from kinegraph.devices.natnet.names import NatNetNames
+from kinegraph.devices.natnet.numbers import HEAD, LONGEST_S
+from kinegraph.devices.natnet.protocol import OCCLUDED, SIZED, NatNetError, NatNetFrame, ServerInfo, Version
+from kinegraph.devices.natnet.simulator import MODELS, TICK_HZ, NatNetScene
+from kinegraph.devices.natnet.source import NatNet, NatNetReading
+from kinegraph.stream.chunk import Samples
 from tests.support.device_feed import Kept
 from tests.support.mutants import mutant
 

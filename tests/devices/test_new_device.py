@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.binary import Binary
-from devices.protocols import frame_guess
-from devices.simulators.ascii_lines import SimulatedAsciiLines
-from devices.simulators.binary import BinaryModel
-from devices.simulators.binary import serving as serving_frames
-from stream.params import build
-from stream.recording import Recording
+from kinegraph.devices.frames import guess as frame_guess
+from kinegraph.devices.frames.simulator import BinaryModel
+from kinegraph.devices.frames.simulator import serving as serving_frames
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.lines.simulator import SimulatedAsciiLines
+from kinegraph.stream.params import build
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command
 
 COUNTED = [
@@ -79,7 +79,7 @@ def test_lines_are_proposed_with_their_time_and_counter(kinegraph: Command, tmp_
     with lines.serving() as port:
         code, printed, complaint = kinegraph("new", "device", port, "--for", "3")
     assert code == 0, complaint
-    for line in ("use: devices.ascii_lines.AsciiLines", "counter: x2", "time: x1", "time_unit: us", "rate_hz: 100"):
+    for line in ("use: devices.lines.AsciiLines", "counter: x2", "time: x1", "time_unit: us", "rate_hz: 100"):
         assert line in printed
 
 

@@ -19,19 +19,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.discovery.oak import described
-from devices.oak import Oak
-from devices.oak.adapter import Frames, ImuPackets, Message
-from devices.oak.camera import CameraLink, _depth, lit, opened
-from devices.oak.library import NONE, all_cameras, library, not_opened, ns
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.oak import BOOTED_S, SimulatedCamera, SimulatedOak
-from devices.simulators.oak import OakSimulator as Simulated
-from stream.chunk import NS, StreamSpec
-from stream.engine.session import Session
-from stream.errors import DeviceError, GraphError, ParameterError
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.oak import Oak
+from kinegraph.devices.oak.adapter import Frames, ImuPackets, Message
+from kinegraph.devices.oak.camera import CameraLink, _depth, lit, opened
+from kinegraph.devices.oak.discovery import described
+from kinegraph.devices.oak.library import NONE, all_cameras, library, not_opened, ns
+from kinegraph.devices.oak.simulator import BOOTED_S, SimulatedCamera, SimulatedOak
+from kinegraph.devices.oak.simulator import OakSimulator as Simulated
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import DeviceError, GraphError, ParameterError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 from tests.support.device_feed import Kept, check, reading, wait_for
 
 needs_depthai = [
@@ -355,7 +355,7 @@ class TestWithDepthai:
         """Kernels compile for a minute after the camera was plugged in: the performer must not be there already."""
         clock = time.monotonic
         with plugged_in(image="mono") as (source, simulated):
-            monkeypatch.setattr("devices.simulators.oak.time.monotonic", lambda: clock() + 60.0)
+            monkeypatch.setattr("kinegraph.devices.oak.simulator.time.monotonic", lambda: clock() + 60.0)
             with reading(source) as feed:
                 wait_for(lambda: feed.count("depth") >= 3)
             room = simulated.performer.frame(0, 0.0)
@@ -368,7 +368,7 @@ class TestWithDepthai:
             "record: [level]\n"
             "nodes:\n"
             "  camera: {use: devices.oak.Oak, width: 160, height: 100, reconnect_s: 0.3}\n"
-            "  level: {use: operators.depth.region.RegionDepth, from: camera.depth}\n"
+            "  level: {use: operators.bed.frames.region.RegionDepth, from: camera.depth}\n"
         )
         with plugged_in(graph.nodes["camera"].part) as (source, simulated):  # type: ignore[arg-type]
             graph.nodes["camera"].part = source

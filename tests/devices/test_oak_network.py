@@ -20,24 +20,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.oak import Oak
-from devices.oak.archive import pose_archive
-from devices.oak.camera import _seen
-from devices.oak.keypoint_sets import BLAZEPOSE, COCO, INSIDE_M, MARKERS
-from devices.oak.keypoints import Keypoints, Sight, markers_of, sight_of
-from devices.oak.library import library
-from devices.oak.network import located
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.oak import BOOTED_S, SimulatedCamera, SimulatedOak
-from devices.simulators.oak import OakSimulator as Simulated
-from devices.simulators.oak_keypoints import detection
-from devices.simulators.rendered_performer import EMPTY_S, POINTS
-from operators.body import names, placing
-from stream.chunk import NS, Samples
-from stream.engine.pipeline import Pipeline
-from stream.engine.warmup import warm_up
-from stream.errors import DeviceError, GraphError, ParameterError
-from stream.graph.load import load_text
+from kinegraph.devices.oak import Oak
+from kinegraph.devices.oak.archive import pose_archive
+from kinegraph.devices.oak.camera import _seen
+from kinegraph.devices.oak.keypoint_sets import BLAZEPOSE, COCO, INSIDE_M, MARKERS
+from kinegraph.devices.oak.keypoints import Keypoints, Sight, markers_of, sight_of
+from kinegraph.devices.oak.library import library
+from kinegraph.devices.oak.network import located
+from kinegraph.devices.oak.simulated_keypoints import detection
+from kinegraph.devices.oak.simulator import BOOTED_S, SimulatedCamera, SimulatedOak
+from kinegraph.devices.oak.simulator import OakSimulator as Simulated
+from kinegraph.devices.people.rendered_performer import EMPTY_S, POINTS
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.operators.body import names, placing
+from kinegraph.stream.chunk import NS, Samples
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.warmup import warm_up
+from kinegraph.stream.errors import DeviceError, GraphError, ParameterError
+from kinegraph.stream.graph.reading.load import load_text
 from tests.support.device_feed import Kept, check, reading, wait_for
 
 needs_depthai = [
@@ -517,9 +517,11 @@ class TestSimulated:
         assert -1 in feed.lost("markers").values() and (np.diff(feed.time("markers")) > 0).all()
 
     def test_a_network_that_says_nothing_is_an_error(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("devices.oak.source.FIRST_FRAME_S", 0.5)
+        monkeypatch.setattr("kinegraph.devices.oak.FIRST_FRAME_S", 0.5)
         with plugged_in() as (source, _):
-            monkeypatch.setattr("devices.simulators.oak.RunningScene._sight", lambda self, frame: self._dai.ADatatype())
+            monkeypatch.setattr(
+                "kinegraph.devices.oak.simulator.RunningScene._sight", lambda self, frame: self._dai.ADatatype()
+            )
             object.__setattr__(source, "lost_after_s", 0.5)
             with reading(source) as feed:
                 wait_for(lambda: feed.error is not None)

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.binary import Binary
-from devices.frame_reading import FrameReading
-from devices.osc import OscInlet
-from devices.protocols.frame_decoder import FoundFrames
-from devices.protocols.osc import OscError, OscReader, read_osc
-from devices.protocols.packet_decoder import PacketDecoder
-from stream.chunk import NS
-from stream.params import build
+from kinegraph.devices.frames.decoder import FoundFrames
+from kinegraph.devices.frames.packet_decoder import PacketDecoder
+from kinegraph.devices.frames.reading import FrameReading
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.osc.inlet import OscInlet
+from kinegraph.devices.osc.protocol import OscError, OscReader, read_osc
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.params import build
 from tests.support.device_feed import Kept
 
 COUNTER, TIME = {"type": "u16", "role": "counter"}, {"type": "u32", "role": "time", "unit": "us"}

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.binary import Binary
-from devices.osc import OscInlet
-from devices.simulators.misbehaviour import Misbehaviour
-from devices.simulators.osc import OscModel, serving
-from stream.errors import DeviceError, ParameterError
-from stream.params import build
-from stream.recording import Recording
+from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.osc.inlet import OscInlet
+from kinegraph.devices.osc.simulator import OscModel, serving
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import build
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command
 from tests.support.device_feed import check, free_udp_port, is_bound, reading, wait_for
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.clocks.clock_log import ClockLog
-from devices.clocks.device_clock import ClockState
-from devices.clocks.packet_clock import PacketClock
-from stream.chunk import NS, Times
+from kinegraph.devices.clocks.clock_log import ClockLog
+from kinegraph.devices.clocks.device_clock import ClockState
+from kinegraph.devices.clocks.packet_clock import PacketClock
+from kinegraph.stream.chunk import NS, Times
 from tests.support.device_feed import Kept
 
 RATE = 250.0
@@ -98,8 +98,10 @@ def test_the_clocks_state_is_in_the_metrics_from_the_first_second_and_in_the_log
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now, told, feed = [0.0], [], Kept()
-    monkeypatch.setattr("devices.clocks.clock_log.time.monotonic", lambda: now[0])
-    monkeypatch.setattr("devices.clocks.clock_log.log.info", lambda *_, **facts: told.append(facts), raising=False)
+    monkeypatch.setattr("kinegraph.devices.clocks.clock_log.time.monotonic", lambda: now[0])
+    monkeypatch.setattr(
+        "kinegraph.devices.clocks.clock_log.log.info", lambda *_, **facts: told.append(facts), raising=False
+    )
     states: list[ClockState | None] = [None] + [ClockState(1.5, float(n), 0.001, n) for n in (2, 9, 10, 61, 62)]
     clock_log = ClockLog("board", feed, lambda: states.pop(0))
     for now[0] in (0.5, 1.1, 2.2, 2.3, 9.0, 10.5, 61.0, 61.5, 123.0):

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.protocols import qualisys as protocol
-from devices.protocols.qualisys import QualisysDecoder, QualisysError
-from devices.qualisys import Qualisys
-from devices.simulators.qualisys import QualisysServer
+from kinegraph.devices.qualisys import protocol as protocol
+from kinegraph.devices.qualisys.protocol import QualisysDecoder, QualisysError
+from kinegraph.devices.qualisys.simulator import QualisysServer
+from kinegraph.devices.qualisys.source import Qualisys
 from tests.support.device_feed import check, cut, reading, wait_for
 
 VECTOR = bytes.fromhex(

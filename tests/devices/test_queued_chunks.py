@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import yaml
 
-from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.graph.draft import parameters_of
-from stream.graph.parts import catalogue, kind_of
-from stream.params import build
-from stream.source import Source
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.stream.graph.components import catalogue, kind_of
+from kinegraph.stream.graph.reading.draft import parameters_of
+from kinegraph.stream.params import build
+from kinegraph.stream.source import Source
 from tests.support.device_feed import Kept
 from tests.support.queued import check_queued
 
@@ -25,7 +25,7 @@ INPUTS = {"inputs": [{"input": "AIN0"}, {"input": "AIN1"}]}
 EXAMPLES: dict[str, dict[str, Any]] = {
     "devices.analog.labjack.LabJack": INPUTS,
     "devices.analog.nidaq.NiDaq": INPUTS,
-    "devices.brainflow_board.BrainflowBoard": {"board": "SYNTHETIC_BOARD"},
+    "devices.brainflow.BrainflowBoard": {"board": "SYNTHETIC_BOARD"},
     "devices.natnet.NatNet": {"bodies": ["shank"], "markers": ["shank:1"], "analog": ["plate 1:Fz"]},
     "devices.osc.OscInlet": {
         "streams": [{"name": "acc", "address": "/acc", "arguments": [{"name": "x"}, {"name": "y"}]}]
@@ -40,10 +40,10 @@ EXAMPLES: dict[str, dict[str, Any]] = {
 }
 """Parameters of sources that no shipped graph uses, and that need some."""
 FILES = {
-    "devices.files.depth_clip.DepthClip",
-    "devices.files.depthai_replay.DepthaiReplay",
-    "devices.files.recorded_streams.RecordedStreams",
-    "devices.synthesis.source.Synthesis",
+    "devices.recorded.depth_clip.DepthClip",
+    "devices.recorded.depthai_replay.DepthaiReplay",
+    "devices.recorded.recorded_streams.RecordedStreams",
+    "devices.synthesis.Synthesis",
 }
 """A file declares their streams."""
 SOURCES = {use: part for use, part in catalogue()[0].items() if kind_of(part) == "source" and use not in FILES}
@@ -104,7 +104,7 @@ def made_chunks(spec: StreamSpec, count: int) -> list[Chunk]:
 
 @pytest.mark.parametrize("use", SOURCES)
 def test_chunks_of_any_layout_that_queue_enter_as_they_would_one_by_one(use: str) -> None:
-    if use == "devices.brainflow_board.BrainflowBoard":
+    if use == "devices.brainflow.BrainflowBoard":
         pytest.importorskip("brainflow")
     for spec in source_of(use).specs().values():
         check_queued(spec, made_chunks(spec, 40))

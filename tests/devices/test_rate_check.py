@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.ascii_lines import AsciiLines
-from devices.clocks.rate_check import RateCheck
-from devices.cyton import Cyton
-from devices.simulators.cyton import CytonModel
-from devices.simulators.indexed import Indexed
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from stream.chunk import NS
-from stream.engine.session import Session
-from stream.errors import RunError
-from stream.graph.load import load_text
+from kinegraph.devices.clocks.rate_check import RateCheck
+from kinegraph.devices.cyton.simulator import CytonModel
+from kinegraph.devices.cyton.source import Cyton
+from kinegraph.devices.lines.indexed_simulator import Indexed
+from kinegraph.devices.lines.source import AsciiLines
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import RunError
+from kinegraph.stream.graph.reading.load import load_text
 from tests.devices.scripted import BEGAN, played
 from tests.support.device_feed import Kept
 
@@ -178,7 +178,7 @@ def test_later_it_raises_the_alarm_and_goes_on(again: bool) -> None:
 
 
 def test_a_board_with_another_rate_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.simulators.cyton.PACKETS_HZ", 500.0)
+    monkeypatch.setattr("kinegraph.devices.cyton.simulator.PACKETS_HZ", 500.0)
     with pytest.raises(RunError, match="it sends 500 samples a second, not 250"):
         played(Cyton("a"), CytonModel(), 12.0, monkeypatch)
 
@@ -186,7 +186,7 @@ def test_a_board_with_another_rate_ends_the_session(tmp_path: Path, monkeypatch:
 def test_a_session_is_ended_in_words(tmp_path: Path) -> None:
     with Indexed(rate_hz=100.0).serving() as port:
         graph = load_text(
-            f"nodes: {{lines: {{use: devices.ascii_lines.AsciiLines, port: {port}, columns: [i, t, n], counter: n, rate_hz: 250}}}}"
+            f"nodes: {{lines: {{use: devices.lines.AsciiLines, port: {port}, columns: [i, t, n], counter: n, rate_hz: 250}}}}"
         )
         outcome = Session(graph, tmp_path / "s", duration_s=30).run()
     assert outcome.error is not None and "is not as declared: it sends" in str(outcome.error)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import pytest
 
-from devices.clocks.device_clock import ClockState
-from devices.transport.serial_source import SerialSource
-from devices.transport.transport import Transport
-from stream.chunk import Specs
-from stream.errors import DeviceError
-from stream.source import Feed
+from kinegraph.devices.clocks.device_clock import ClockState
+from kinegraph.devices.transport.serial_source import SerialSource
+from kinegraph.devices.transport.transport import Transport
+from kinegraph.stream.chunk import Specs
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.source import Feed
 from tests.support.device_feed import Kept
 
 

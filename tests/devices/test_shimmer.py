@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.protocols import shimmer as protocol
-from devices.protocols import shimmer_units as units
-from devices.protocols.shimmer import TICKS, ShimmerDecoder, ShimmerPackets, answer_in, columns, packet
-from devices.shimmer import Shimmer
-from devices.simulators.lines import line_at
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.serve import Server
-from devices.simulators.shimmer import ShimmerModel
-from stream.chunk import NS
-from stream.errors import DeviceError, ParameterError
-from stream.params import build
+from kinegraph.devices.shimmer import protocol as protocol
+from kinegraph.devices.shimmer import units as units
+from kinegraph.devices.shimmer.protocol import TICKS, ShimmerDecoder, ShimmerPackets, answer_in, columns, packet
+from kinegraph.devices.shimmer.simulator import ShimmerModel
+from kinegraph.devices.shimmer.source import Shimmer
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.params import build
 from tests.support.device_feed import Kept, check, cut, reading, wait_for
 
 CHANNELS = (0, 1, 2, 10, 11, 12, 29, 30, 31)
@@ -303,7 +303,7 @@ def test_a_wrong_device_is_told(code: int, answer: bytes, told: str, monkeypatch
             return answer if command == code else super()._obey(command, data)
 
     if not answer:
-        monkeypatch.setattr("devices.transport.shimmer_commands.ANSWER_S", 0.1)
+        monkeypatch.setattr("kinegraph.devices.shimmer.commands.ANSWER_S", 0.1)
     feed = read(Other(), 1)
     assert isinstance(feed.error, DeviceError)
     with pytest.raises(DeviceError, match=told):

@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.cyton import Cyton
-from devices.simulators.cyton import CytonModel
-from devices.simulators.lines import PseudoTerminal, TcpLine, line_at
-from devices.simulators.misbehaviour import Misbehaviour, Mishaps
-from devices.simulators.named import find, named
-from devices.simulators.serve import Server
-from devices.transport.transport import connect
-from stream.errors import DeviceError, KinegraphError
+from kinegraph.devices.cyton.simulator import CytonModel
+from kinegraph.devices.cyton.source import Cyton
+from kinegraph.devices.simulation.cable import PseudoTerminal, TcpLine, line_at
+from kinegraph.devices.simulation.catalogue import find, named
+from kinegraph.devices.simulation.fault_injection import Misbehaviour, Mishaps
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.devices.transport.transport import connect
+from kinegraph.stream.errors import DeviceError, KinegraphError
 from tests.support.device_feed import reading, wait_for
 from tests.support.pose_model import pose_network_or_skip
 
@@ -178,7 +178,7 @@ def test_an_address_that_cannot_be_served() -> None:
 
 
 def test_simulators_are_found_by_name() -> None:
-    assert find("cyton") is named()["cyton"] is find("devices.simulators.cyton.SimulatedCyton")
+    assert find("cyton") is named()["cyton"] is find("devices.cyton.simulator.SimulatedCyton")
     with pytest.raises(KinegraphError, match="did you mean 'cyton'"):
         find("cyten")
     with pytest.raises(KinegraphError, match="cannot be imported"):
@@ -189,7 +189,7 @@ def test_simulators_are_found_by_name() -> None:
 
 def kinegraph(*arguments: str, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "stream", *arguments],
+        [sys.executable, "-m", "kinegraph.stream", *arguments],
         capture_output=True,
         text=True,
         timeout=timeout_s,
@@ -199,7 +199,7 @@ def kinegraph(*arguments: str, timeout_s: float = 120.0) -> subprocess.Completed
 
 
 def test_the_command_prints_an_address_that_can_be_opened() -> None:
-    command = [sys.executable, "-m", "stream", "simulate", "cyton", "daisy=true", "lose=0.1", "seed=2"]
+    command = [sys.executable, "-m", "kinegraph.stream", "simulate", "cyton", "daisy=true", "lose=0.1", "seed=2"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout
         address = process.stdout.readline().strip()
@@ -241,7 +241,7 @@ def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:
         command = [
             sys.executable,
             "-m",
-            "stream",
+            "kinegraph.stream",
             "run",
             str(CONFIGS / "cyton_emg.yaml"),
             "--set",

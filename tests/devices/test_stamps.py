@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.ble.polar import PmdStream
-from devices.clocks.packet_clock import Packets
-from devices.clocks.stamps import Stamps
-from devices.protocols.polar_pmd import ECG, PmdFrame
-from stream.chunk import NS, Array, Times
+from kinegraph.devices.clocks.packet_clock import Packets
+from kinegraph.devices.clocks.stamps import Stamps
+from kinegraph.devices.polar.protocol import ECG, PmdFrame
+from kinegraph.devices.polar.source import PmdStream
+from kinegraph.stream.chunk import NS, Array, Times
 
 RATE_HZ = 130.0
 

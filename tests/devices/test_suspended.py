@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from devices.clocks import suspension
-from devices.clocks.packet_clock import PacketClock, Packets
-from devices.clocks.short_counter import ShortCounter
-from devices.clocks.stamps import Stamps
-from devices.clocks.tick_clock import TickClock
-from stream.chunk import NS
+from kinegraph.devices.clocks import suspension
+from kinegraph.devices.clocks.packet_clock import PacketClock, Packets
+from kinegraph.devices.clocks.short_counter import ShortCounter
+from kinegraph.devices.clocks.stamps import Stamps
+from kinegraph.devices.clocks.tick_clock import TickClock
+from kinegraph.stream.chunk import NS
 
 RATE = 200.0
 AT_S, SLEPT_S = 15.0, 60.0

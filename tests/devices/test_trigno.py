@@ -12,16 +12,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from devices.clocks.pace import DevicePace
-from devices.clocks.rate_check import Policy, RateCheck
-from devices.protocols import trigno as protocol
-from devices.protocols.trigno import TrignoRows
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.trigno import Station, StationLine, TrignoModel
-from devices.trigno import Trigno, TrignoSensor
-from stream.chunk import NS
-from stream.errors import DeviceError, ParameterError, RunError
-from stream.params import build
+from kinegraph.devices.clocks.pace import DevicePace
+from kinegraph.devices.clocks.rate_check import Policy, RateCheck
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.trigno import protocol as protocol
+from kinegraph.devices.trigno.protocol import TrignoRows
+from kinegraph.devices.trigno.simulator import Station, StationLine, TrignoModel
+from kinegraph.devices.trigno.source import Trigno, TrignoSensor
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError, ParameterError, RunError
+from kinegraph.stream.params import build
 from tests.support.device_feed import Kept, check, cut, reading, wait_for
 
 RNG = np.random.default_rng(3)
@@ -184,7 +184,7 @@ def test_an_old_server_that_knows_few_commands_will_do(monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(("greeting", "told"), [(b"SSH-2.0\r\n\r\n", "53 53 48"), (b"", "came nothing")])
 def test_another_server_is_told(greeting: bytes, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.trigno.ANSWER_S", 0.3)
+    monkeypatch.setattr("kinegraph.devices.trigno.ANSWER_S", 0.3)
     server = socket.create_server(("127.0.0.1", 0))
     with server, reading(Trigno(f"tcp://127.0.0.1:{server.getsockname()[1]}", SENSORS)) as feed:
         client, _ = server.accept()
@@ -199,7 +199,7 @@ def test_a_server_that_falls_silent_is_opened_again(monkeypatch: pytest.MonkeyPa
         def say(self, seconds: float) -> list[bytes]:
             return super().say(seconds) if self._said < 20 else []
 
-    monkeypatch.setattr("devices.trigno.SILENCE_S", 0.5)
+    monkeypatch.setattr("kinegraph.devices.trigno.SILENCE_S", 0.5)
     feed = read(Silent(), 10**9)
     assert isinstance(feed.error, DeviceError) and "no samples of emg" in str(feed.error)
 

@@ -11,16 +11,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from devices.cyton import Cyton
-from devices.protocols import cyton, shimmer
-from devices.shimmer import Shimmer
-from devices.simulators.cyton import CytonModel
-from devices.simulators.device_model import DeviceModel
-from devices.simulators.shimmer import ShimmerModel
-from operators.align import Align
-from operators.channels import Select
-from stream.chunk import NS
-from stream.source import Source
+from kinegraph.devices.cyton import protocol as cyton
+from kinegraph.devices.cyton.simulator import CytonModel
+from kinegraph.devices.cyton.source import Cyton
+from kinegraph.devices.shimmer import protocol as shimmer
+from kinegraph.devices.shimmer.simulator import ShimmerModel
+from kinegraph.devices.shimmer.source import Shimmer
+from kinegraph.devices.simulation.device_model import DeviceModel
+from kinegraph.operators.filters.channels import Select
+from kinegraph.operators.timing.align import Align
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.source import Source
 from tests.operators.test_align import run
 from tests.support.device_feed import Kept, check
 
@@ -97,7 +98,7 @@ def delivered(
 
 
 def read(source: Source, script: Script, monkeypatch: pytest.MonkeyPatch) -> Kept:
-    monkeypatch.setattr("devices.transport.serial_source.connect", lambda *_: script)
+    monkeypatch.setattr("kinegraph.devices.transport.serial_source.connect", lambda *_: script)
     source.read(script.feed)
     check(source, script.feed)
     return script.feed

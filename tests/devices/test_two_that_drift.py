@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.simulators.indexed import Indexed, IndexedBrain
-from devices.simulators.lines import line_at
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.serve import Server
-from stream.chunk import NS, Samples
-from stream.commands.info import clocks
-from stream.engine.session import Session
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.lines.indexed_simulator import Indexed, IndexedBrain
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.stream.chunk import NS, Samples
+from kinegraph.stream.cli.commands.info import clocks
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command
 
 WITHIN_S = 0.010
@@ -38,7 +38,7 @@ class Timed(IndexedBrain):
 def node(name: str, address: str, of: Indexed) -> str:
     """A line is sent when the next sample is made: that is the constant delay."""
     return (
-        f"  {name}: {{use: devices.ascii_lines.AsciiLines, port: {address}, columns: [index, t, n], time: t, "
+        f"  {name}: {{use: devices.lines.AsciiLines, port: {address}, columns: [index, t, n], time: t, "
         f"rate_hz: {of.rate_hz:g}, latency_s: {1 / of.rate_hz}, silence_s: 3}}\n"
     )
 

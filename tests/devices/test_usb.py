@@ -15,27 +15,27 @@ import pytest
 import usb.core
 from usb.backend import IBackend
 
-from devices.discovery.usb_devices import find as find_connected
-from devices.mti import Mti
-from devices.protocols.packet_decoder import PacketDecoder
-from devices.simulators.misbehaviour import GOOD, Misbehaviour
-from devices.simulators.mti import MtiModel
-from devices.simulators.mti import SimulatedMti as SimulatedMti
-from devices.simulators.serve import Server
-from devices.simulators.usb_bus import BULK, INTERRUPT, SimulatedBus, UsbLine, UsbWiring
-from devices.simulators.usb_reports import DUALSENSE, DualSenseBrain, serving
-from devices.simulators.walking_limb import GRAVITY
-from devices.transport.transport import connect
-from devices.usb import bus
-from devices.usb.bus import UsbAddress
-from devices.usb.endpoint import Endpoint
-from devices.usb.pipe import Pipe
-from stream.chunk import NS
-from stream.engine.session import Session
-from stream.errors import DeviceError, ParameterError
-from stream.graph.load import load, load_text
-from stream.params import build
-from stream.recording import Recording
+from kinegraph.devices.discovery.usb_devices import find as find_connected
+from kinegraph.devices.frames.packet_decoder import PacketDecoder
+from kinegraph.devices.mti.simulator import MtiModel
+from kinegraph.devices.mti.simulator import SimulatedMti as SimulatedMti
+from kinegraph.devices.mti.source import Mti
+from kinegraph.devices.people.walking_limb import GRAVITY
+from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.serve import Server
+from kinegraph.devices.transport import usb_bus as bus
+from kinegraph.devices.transport.transport import connect
+from kinegraph.devices.transport.usb_bus import UsbAddress
+from kinegraph.devices.transport.usb_pipe import Pipe
+from kinegraph.devices.usb.endpoint import Endpoint
+from kinegraph.devices.usb.simulated_bus import BULK, INTERRUPT, SimulatedBus, UsbLine, UsbWiring
+from kinegraph.devices.usb.simulated_reports import DUALSENSE, DualSenseBrain, serving
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import DeviceError, ParameterError
+from kinegraph.stream.graph.reading.load import load, load_text
+from kinegraph.stream.params import build
+from kinegraph.stream.recording import Recording
 from tests.support.device_feed import Kept, check, reading, wait_for
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "dualsense.yaml"
@@ -223,7 +223,7 @@ def test_pulled_out_a_hundred_times_in_mid_packet_nothing_leaks(own_bus: Simulat
 
 def test_a_session_goes_on_when_the_cable_is_put_in_again(tmp_path: Path) -> None:
     graph = load_text(
-        "nodes: {mti: {use: devices.mti.Mti, port: usb://2639}, smooth: {use: operators.iir.Lowpass, from: mti, cutoff_hz: 5}}\n"
+        "nodes: {mti: {use: devices.mti.Mti, port: usb://2639}, smooth: {use: operators.filters.iir.Lowpass, from: mti, cutoff_hz: 5}}\n"
         "record: [smooth]",
     )
     with SimulatedMti().on_usb(Misbehaviour(unplug_every_s=3.0, unplug_s=0.6)):
@@ -362,7 +362,7 @@ def test_other_reports_and_wrong_ones_are_passed_over(own_bus: SimulatedBus) -> 
 
 
 def test_nothing_that_was_declared_comes(own_bus: SimulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("devices.declaration_check.FIRST_FRAME_S", 0.2)
+    monkeypatch.setattr("kinegraph.devices.frames.declaration_check.FIRST_FRAME_S", 0.2)
     line = UsbLine(own_bus, DUALSENSE)
     try:
         with reading(dualsense()) as feed:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from devices.protocols.vmc import BONES, SAFE_BYTES, VmcFrame
-from stream.chunk import Samples
+from kinegraph.devices.osc.vmc_protocol import BONES, SAFE_BYTES, VmcFrame
+from kinegraph.stream.chunk import Samples
 
 osc_bundle = pytest.importorskip("pythonosc.osc_bundle", reason="python-osc is not installed")
 from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder  # noqa: E402

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.outlets.vmc import VmcOutlet
-from devices.protocols.osc import OscError, read_osc
-from devices.protocols.vmc_frames import VmcFrames
-from devices.simulators.performer import true_pose
-from devices.vmc import Vmc
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.errors import InputError, KinegraphError, ParameterError
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import JointTree
+from kinegraph.devices.osc.protocol import OscError, read_osc
+from kinegraph.devices.osc.vmc_frames import VmcFrames
+from kinegraph.devices.osc.vmc_inlet import Vmc
+from kinegraph.devices.osc.vmc_outlet import VmcOutlet
+from kinegraph.devices.people.performer import true_pose
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import JointTree
+from kinegraph.stream.errors import InputError, KinegraphError, ParameterError
 from tests.support.convert_run import DATA
 from tests.support.real import needs_data
 

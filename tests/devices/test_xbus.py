@@ -9,8 +9,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from devices.protocols import xbus
-from devices.protocols.xbus import XbusDecoder, XbusFrames, item, message
+from kinegraph.devices.mti import xbus
+from kinegraph.devices.mti.xbus import XbusDecoder, XbusFrames, item, message
 from tests.support.device_feed import cut
 
 RNG = np.random.default_rng(4)

@@ -50,7 +50,7 @@ def main() -> None:
                         failed[info.name] = str(error)
     print("imported" if not failed else f"failed: {failed}", flush=True)
     sys.argv = ["kinegraph", *sys.argv[1:]]
-    from stream.cli import main as command
+    from kinegraph.stream.cli.main import main as command
 
     command()
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stream.backpressure import POLICIES, Policy
-from stream.chunk import FOREVER, NEVER, NS, Chunk, StreamSpec
-from stream.engine.admission import admit, conform, followed, join, ordered, soundness
-from stream.engine.supervisor import TRANSITIONS
-from stream.errors import RunError
-from stream.promise import impossible
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, StreamSpec
+from kinegraph.stream.engine.flow.admission import admit, conform, followed, join, ordered, soundness
+from kinegraph.stream.engine.flow.promise import impossible
+from kinegraph.stream.engine.supervisor import TRANSITIONS
+from kinegraph.stream.errors import RunError
+from kinegraph.stream.graph.backpressure import POLICIES, Policy
 
 SPEC = StreamSpec((1,), rate_hz=1000.0)
 

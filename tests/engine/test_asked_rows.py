@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from stream.chunk import Chunk, Specs, StreamSpec
-from stream.conformance import Choices, checks, trials
-from stream.engine.pipeline import Pipeline
-from stream.graph.load import load_text
-from stream.operator import Case, Operator, Takes, grid
-from stream.rows import Rows, taking
-from stream.source import Feed, Source
+from kinegraph.stream.chunk import Chunk, Specs, StreamSpec
+from kinegraph.stream.data.rows import Rows, taking
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.laws import Choices, checks, trials
+from kinegraph.stream.operator import Case, Operator, Takes, grid
+from kinegraph.stream.source import Feed, Source
 
 SEEN: list[tuple[str, Chunk]] = []
 POINTS = StreamSpec((2, 3), np.dtype(np.float32), 100.0, units=("m",))

@@ -11,9 +11,9 @@ from tests.support.command_line import BOARD, GRAPH, QUIET, Command, refused
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{new}: &{new} [{','.join([f'*{old}'] * 9)}]\n" for old, new in zip("abcdefgh", "bcdefghi", strict=True)
 )
-LOW = BOARD % 2 + "  low: {use: operators.iir.Lowpass, from: board.emg, cutoff_hz: %s}\n"
-MEAN = BOARD % 2 + "  mean: {use: operators.moving.MovingMean, from: board.emg, window_s: %s}\n"
-CHAIN = "".join(f"  n{i}: {{use: operators.rectify.Rectify, from: n{i - 1}}}\n" for i in range(1, 1001))
+LOW = BOARD % 2 + "  low: {use: operators.filters.iir.Lowpass, from: board.emg, cutoff_hz: %s}\n"
+MEAN = BOARD % 2 + "  mean: {use: operators.filters.moving.MovingMean, from: board.emg, window_s: %s}\n"
+CHAIN = "".join(f"  n{i}: {{use: operators.filters.rectify.Rectify, from: n{i - 1}}}\n" for i in range(1, 1001))
 GRAPHS: list[tuple[str | bytes, list[str]]] = [
     ("", ["a graph is a mapping", "not empty"]),
     (b"\x00" * 4096, ["is not allowed in YAML"]),
@@ -34,9 +34,9 @@ GRAPHS: list[tuple[str | bytes, list[str]]] = [
     (BOARD % f"2, seed: {'9' * 5000}", ["g.yaml:2:", "9..."]),
     (BOARD % "2, duration: 3", ["no parameter 'duration'", "did you mean 'duration_s'?"]),
     (BOARD % "2, policy: maybe", ["policy is 'maybe'", "'drop_oldest'"]),
-    ("nodes:\n  board: {use: devices.simulators.treadmill.Tredmill}\n", ["did you mean 'Treadmill'?"]),
+    ("nodes:\n  board: {use: devices.people.treadmill.Tredmill}\n", ["did you mean 'Treadmill'?"]),
     ("nodes:\n  board: {use: os.system}\n", ["must be a source, an operator or an outlet"]),
-    ("nodes:\n  ../x: {use: devices.simulators.treadmill.Treadmill}\n", ["a node's name is made of letters"]),
+    ("nodes:\n  ../x: {use: devices.people.treadmill.Treadmill}\n", ["a node's name is made of letters"]),
     ("name: ../../evil\n" + GRAPH, ["g.yaml:1:", "name:", "without '/'"]),
     (f"name: {'n' * 300}\n" + GRAPH, ["g.yaml:1:", "short"]),
     (GRAPH.replace("board.emg", "bord.emg"), ["there is no node 'bord'", "did you mean 'board'?"]),

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from stream.ceiling import taken
-from stream.chunk import NS
-from stream.clock import BOOTTIME, SessionClock
-from stream.recording import Recording
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.system.clock import BOOTTIME, SessionClock
+from kinegraph.stream.system.memory_limit import taken
 from tests.support.command_line import BOARD, KINEGRAPH, QUIET, Command, refused, shell, wait_for
 
 
@@ -40,8 +40,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stream.chunk import Chunk, Specs
-from stream.operator import Operator
+from kinegraph.stream.chunk import Chunk, Specs
+from kinegraph.stream.operator import Operator
 
 
 @dataclass(slots=True)

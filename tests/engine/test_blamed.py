@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream.chunk import NS, Chunk, Specs, StreamSpec
-from stream.operator import Operator
-from stream.outlet import Outlet
-from stream.params import param
-from stream.recording import Recording
-from stream.source import Feed, Source
+from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.source import Feed, Source
 from tests.support.command_line import QUIET, Command
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stream import ceiling as memory
+from kinegraph.stream.system import memory_limit as memory
 
 GB = 10**9
 GIB = 1024**3

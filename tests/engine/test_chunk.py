@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, add_lost, empty, utc
+from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, add_lost, empty, utc
 
 EVENT = np.dtype([("onset", "<i8"), ("curve", "<f8", (100, 2)), ("side", "<U5")])
 SPECS = [

@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.simulators.indexed import Indexed
-from stream.engine.replay import Replay
-from stream.engine.session import Session
-from stream.errors import KinegraphError
-from stream.graph.load import load
-from stream.recording import Recording, checkpoint
-from stream.recording.checkpoint import Checkpoint
+from kinegraph.devices.lines.indexed_simulator import Indexed
+from kinegraph.stream.engine.replay import Replay
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format import checkpoint
+from kinegraph.stream.recording.format.checkpoint import Checkpoint
 from tests.support import SUPPORT
 
 GRAPH = """
@@ -27,7 +28,7 @@ record: [sum, slow, crest.interval]
 recording: {flush_s: 0.2}
 nodes:
   board: {use: parts.Counting, samples: 1000000, realtime: true}
-  crest: {use: operators.threshold.Threshold, from: board, channel: wave, level: 0.5}
+  crest: {use: operators.filters.threshold.Threshold, from: board, channel: wave, level: 0.5}
   sum: {use: parts.RunningSum, from: board}
   slow: {use: parts.RunningSum, from: board, worker: side}
   table: {use: devices.outlets.csv_file.CsvFile, from: sum, path: PATH}
@@ -151,7 +152,9 @@ def test_resumed_while_a_cable_is_out(config: Path, tmp_path: Path) -> None:
     folder = tmp_path / "s"
     with Indexed(rate_hz=100.0).serving() as port:
         text = config.read_text()
-        lines = f"nodes:\n  lines: {{use: devices.ascii_lines.AsciiLines, port: {port}, columns: [i, t, n], deadline_s: 0.5}}\n"
+        lines = (
+            f"nodes:\n  lines: {{use: devices.lines.AsciiLines, port: {port}, columns: [i, t, n], deadline_s: 0.5}}\n"
+        )
         config.write_text(text.replace("nodes:\n", lines))
         process = live(config, folder)
         wait_for(process, folder, 900)
@@ -246,7 +249,7 @@ OWN = """
 from dataclasses import dataclass
 
 from own_filters import doubled
-from stream.operator import Operator
+from kinegraph.stream.operator import Operator
 
 
 @dataclass(slots=True)
@@ -268,9 +271,9 @@ OWN_FILTERS = "def doubled(x):\n    return 2 * x\n"
 RESUMED = """
 import sys
 from pathlib import Path
-from stream.engine.session import Session
-from stream.errors import KinegraphError
-from stream.graph.load import load
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.graph.reading.load import load
 try:
     Session(load(Path("graph.yaml")), Path("s"), resume=True)
 except KinegraphError as error:
@@ -285,7 +288,7 @@ def test_a_session_of_which_the_code_has_changed_is_refused(changed: str, refuse
         (tmp_path / name).write_text(text)
     graph = tmp_path / "graph.yaml"
     graph.write_text(
-        "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n  own: {use: own.Sum, from: board.emg}\n"
+        "nodes:\n  board: {use: devices.people.treadmill.Treadmill}\n  own: {use: own.Sum, from: board.emg}\n"
     )
     process = live(graph, tmp_path / "s")
     deadline = time.monotonic() + 60

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from stream.errors import Interrupted, Terminated
+from kinegraph.stream.errors import Interrupted, Terminated
 from tests.support.command_line import KINEGRAPH, Command, kinegraph
 
 __all__ = ["kinegraph"]
@@ -39,7 +39,7 @@ def test_the_first_signal_ends_a_warm_up(sent: signal.Signals, tmp_path: Path) -
 SLOW_LINK = """
 import signal, sys, time
 from llvmlite.binding import ffi, linker
-import stream.cli
+import kinegraph.stream.cli.main
 
 link = ffi.lib.LLVMPY_LinkModules
 def interrupted(*modules):
@@ -54,7 +54,7 @@ def interrupted(*modules):
 
 number = int(sys.argv.pop())
 ffi.lib._fntab["LLVMPY_LinkModules"] = interrupted
-stream.cli.main()
+stream.cli.main.main()
 """
 
 
@@ -66,10 +66,12 @@ def test_a_signal_in_the_midst_of_the_compilers_work_is_no_crash(
 ) -> None:
     graph = tmp_path / "low.yaml"
     graph.write_text(
-        "nodes:\n  walk: {use: devices.simulators.treadmill.Treadmill}\n"
-        "  low: {use: operators.iir.Lowpass, from: walk.emg, cutoff_hz: 6}\n"
+        "nodes:\n  walk: {use: devices.people.treadmill.Treadmill}\n"
+        "  low: {use: operators.filters.iir.Lowpass, from: walk.emg, cutoff_hz: 6}\n"
     )
-    asked = [graph, "-o", tmp_path / "run", "--view", "lines"] if command == "run" else ["operators.iir.Lowpass"]
+    asked = (
+        [graph, "-o", tmp_path / "run", "--view", "lines"] if command == "run" else ["operators.filters.iir.Lowpass"]
+    )
     done = subprocess.run(
         [sys.executable, "-c", SLOW_LINK, command, *map(str, asked), str(int(sent))],
         env={**os.environ, "KINEGRAPH_CACHE": str(tmp_path / "cold")}, cwd=tmp_path, check=False,
@@ -87,5 +89,5 @@ def test_an_interruption_before_the_command_has_begun_is_no_traceback(
     def importing(name: str) -> None:
         raise came
 
-    monkeypatch.setattr("stream.cli.function_of", importing)
+    monkeypatch.setattr("kinegraph.stream.cli.main.function_of", importing)
     assert kinegraph("info", "x.mcap") == (code, "", "kinegraph: stopped\n")

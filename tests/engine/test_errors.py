@@ -8,7 +8,7 @@ from types import FrameType
 
 import pytest
 
-from stream.errors import Interrupted, Terminated, asked_to_end, interruption
+from kinegraph.stream.errors import Interrupted, Terminated, asked_to_end, interruption
 
 
 def ours(number: int, frame: FrameType | None) -> None:

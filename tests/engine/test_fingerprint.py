@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from stream.fingerprint import fingerprint
+from kinegraph.stream.compiler.fingerprint import fingerprint
 
 
 def taken(root: Path, help_of: str, *, where: str) -> str:

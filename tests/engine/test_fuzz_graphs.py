@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from stream.errors import KinegraphError
-from stream.graph.load import load_text
-from stream.graph.plan import plan
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.graph.plan import plan
+from kinegraph.stream.graph.reading.load import load_text
 
 CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
 TRIED = int(os.environ.get("KINEGRAPH_FUZZ_GRAPHS", "260"))

@@ -10,16 +10,16 @@ from typing import Any
 import jsonschema
 import pytest
 
-from stream.commands.check import _narrow, check
-from stream.commands.draw import DrawingFormat, draw
-from stream.commands.parts import parts, reflowed
-from stream.commands.schema import schema
-from stream.errors import GraphError, KinegraphError
-from stream.graph.load import load_text
-from stream.graph.parts import catalogue
-from stream.graph.plan import plan
-from stream.graph.schema import graph_schema, unit_of
-from stream.graph.yaml_lines import parse
+from kinegraph.stream.cli.commands.check import _narrow, check
+from kinegraph.stream.cli.commands.draw import DrawingFormat, draw
+from kinegraph.stream.cli.commands.parts import parts, reflowed
+from kinegraph.stream.cli.commands.schema import schema
+from kinegraph.stream.errors import GraphError, KinegraphError
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.graph.plan import plan
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.graph.reading.schema import graph_schema, unit_of
+from kinegraph.stream.graph.reading.yaml_lines import parse
 from tests.engine.test_load import GOOD, NODE_ERRORS, TOP_ERRORS, nodes
 from tests.support.pose_model import pose_network_or_skip
 
@@ -201,13 +201,13 @@ def test_parts_lists_what_there_is_and_shows_one(capsys: pytest.CaptureFixture[s
     parts()
     listed = capsys.readouterr().out
     assert all(path in listed for path in catalogue()[0])
-    parts("operators.iir.Lowpass")
+    parts("operators.filters.iir.Lowpass")
     shown = " ".join(capsys.readouterr().out.split())
     assert (
         "inputs in outputs out" in shown and "cutoff_hz (must be given) number > 0" in shown and "zero | first" in shown
     )
     assert "order 4 integer >= 1 <= 20" in shown and "reset_gap_s 0.1 number >= 0" in shown
-    parts("operators.channels.Select")
+    parts("operators.filters.channels.Select")
     shown = " ".join(capsys.readouterr().out.split())
     assert "channels array names" in shown and "rename object new names" in shown  # an empty default is not shown
     parts("graph_parts.Cycles")

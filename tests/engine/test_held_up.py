@@ -12,15 +12,15 @@ import numpy as np
 import parts
 import pytest
 
-from stream.backpressure import LEAST_CHUNKS, LIVE_BYTES, OTHER_BYTES, Policy, held_bytes, most_bytes
-from stream.chunk import Chunk
-from stream.engine.ingress import Ingress
-from stream.engine.queues import BoundedQueue
-from stream.engine.session import Session
-from stream.engine.supervisor import not_inline
-from stream.graph.load import load_text
-from stream.operator import Emitted
-from stream.params import param
+from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.engine.flow.queues import BoundedQueue
+from kinegraph.stream.engine.ingress import Ingress
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.supervisor import not_inline
+from kinegraph.stream.graph.backpressure import LEAST_CHUNKS, LIVE_BYTES, OTHER_BYTES, Policy, held_bytes, most_bytes
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.operator import Emitted
+from kinegraph.stream.params import param
 
 GRAPH = """
 nodes:

@@ -17,16 +17,16 @@ import parts
 import pytest
 from parts import START
 
-from stream.chunk import Array, Chunk, Specs, StreamSpec
-from stream.engine.ingress import Bursts, GraphTurn, Ingress, IngressPort, _gathering
-from stream.engine.session import Session
-from stream.engine.status import Outcome
-from stream.engine.supervisor import Inline, not_inline
-from stream.graph.load import load_text
-from stream.params import param
-from stream.recording import Recording
-from stream.recording.checkpoint import Checkpoint
-from stream.source import Feed, Source
+from kinegraph.stream.chunk import Array, Chunk, Specs, StreamSpec
+from kinegraph.stream.engine.ingress import Bursts, GraphTurn, Ingress, IngressPort, _gathering
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.status import Outcome
+from kinegraph.stream.engine.supervisor import Inline, not_inline
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.params import param
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format.checkpoint import Checkpoint
+from kinegraph.stream.source import Feed, Source
 
 SPEC = StreamSpec((2,), rate_hz=1000.0, channels=("number", "wave"))
 SHAPES = ("as it should be", "a view", "float32", "read-only", "a list")
@@ -193,7 +193,7 @@ def test_a_burst_enters_together_and_is_the_same(seed: int, tmp_path: Path, monk
     assert together.exit_code == 0, together.error
     seen = [(c.time.tolist(), c.data.tolist(), c.until, c.lost) for c in parts.seen["out"]]
     monkeypatch.setattr(Ingress, "inline", lambda *_: not_inline)
-    monkeypatch.setattr("stream.engine.ingress.BURST", 10**9)
+    monkeypatch.setattr("kinegraph.stream.engine.ingress.BURST", 10**9)
     alone, one_by_one = run(seed, tmp_path / "alone")
     assert alone.exit_code == 0, alone.error
     assert len(gathered) < 0.8 * len(one_by_one)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.kernel import kernel
+from kinegraph.stream.kernel import kernel
 
 HOUSE = Path(__file__).resolve().parents[2]
 RUN = """
@@ -24,7 +24,7 @@ with event.install_recorder("numba:compile") as recorder:
     print(outer(3.0), sum(e.is_start for _, e in recorder.buffer))
 """
 OUTER = """
-from stream.kernel import kernel
+from kinegraph.stream.kernel import kernel
 from {inner} import inner
 
 @kernel
@@ -32,7 +32,7 @@ def outer(x):
     return inner(x) + 1.0
 """
 INNER = """
-from stream.kernel import kernel
+from kinegraph.stream.kernel import kernel
 
 @kernel
 def inner(x):
@@ -76,7 +76,7 @@ def test_an_edit_of_a_callee_in_another_file_is_seen(tmp_path: Path, packaged: b
 def test_a_file_that_is_imported_by_two_names_is_kept_twice(tmp_path: Path) -> None:
     write(
         tmp_path / "sub" / "whole_gain.py",
-        "from stream.kernel import kernel\n\n@kernel\ndef outer(x):\n    return x * 2.0\n",
+        "from kinegraph.stream.kernel import kernel\n\n@kernel\ndef outer(x):\n    return x * 2.0\n",
     )
     assert run(tmp_path / "sub", "whole_gain", tmp_path / "cache")[0] == 6.0
     assert run(tmp_path, "sub.whole_gain", tmp_path / "cache")[0] == 6.0
@@ -85,7 +85,7 @@ def test_a_file_that_is_imported_by_two_names_is_kept_twice(tmp_path: Path) -> N
 
 def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    code = "from stream.kernel import kernel\n@kernel\ndef f(x): return x\n"
+    code = "from kinegraph.stream.kernel import kernel\n@kernel\ndef f(x): return x\n"
     (tmp_path / "late.py").write_text(code)
     environment = {**os.environ, "KINEGRAPH_CACHE": str(tmp_path / "file")}
     found = subprocess.run(
@@ -123,7 +123,7 @@ def test_sums_keep_their_order() -> None:
 
 
 LATE = """
-from stream.kernel import kernel
+from kinegraph.stream.kernel import kernel
 from factors import FACTORS
 from inner_gain import inner
 
@@ -164,14 +164,16 @@ def test_an_edit_elsewhere_compiles_nothing(tmp_path: Path) -> None:
 def test_every_process_takes_the_same_fingerprints(tmp_path: Path) -> None:
     """No address, order of a set or time of day may get into one, nor where the tree lies: the cache would never be found again."""
     code = (
-        "import operators.neighbours.operator as o, operators.neighbours.layout as l, operators.iir as i\n"
-        "import operators.segmentation.operator as s, operators.segmentation.exemplars as e, stream\n"
-        "from stream.fingerprint import fingerprint as f\n"
+        "import kinegraph.operators.neighbours.operator as o, kinegraph.operators.neighbours.layout as l\n"
+        "import kinegraph.operators.filters.iir as i\n"
+        "import kinegraph.operators.segmentation.operator as s, kinegraph.operators.segmentation.kernels.exemplars as e\n"
+        "from kinegraph.stream.compiler.fingerprint import fingerprint as f\n"
         "print([f(v.py_func) for m in (o, l, i, s, e) for n, v in sorted(vars(m).items()) if hasattr(v, 'py_func')])\n"
-        "print(stream.__path__)"
+        "print(kinegraph.__path__)"
     )
-    for package in ("stream", "operators"):
-        shutil.copytree(HOUSE / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        HOUSE / "kinegraph", tmp_path / "kinegraph", ignore=shutil.ignore_patterns("__pycache__", "web", "built")
+    )
     environment = {**os.environ, "PYTHONPATH": ""}
     told = [
         subprocess.run(
@@ -184,7 +186,7 @@ def test_every_process_takes_the_same_fingerprints(tmp_path: Path) -> None:
 
 
 BESIDE = """
-from stream.kernel import kernel
+from kinegraph.stream.kernel import kernel
 {more}
 A, B = {a}, {b}
 
@@ -229,14 +231,14 @@ def test_which_constant_and_which_function_a_name_stands_for_counts(tmp_path: Pa
     for default, value in ((2.0, 6.0), (4.0, 12.0)):
         write(
             tmp_path / "default_gain.py",
-            f"from stream.kernel import kernel\n\n@kernel\ndef outer(x, by={default}):\n    return x * by\n",
+            f"from kinegraph.stream.kernel import kernel\n\n@kernel\ndef outer(x, by={default}):\n    return x * by\n",
         )
         assert run(tmp_path, "default_gain", cache)[0] == value
 
 
 def test_a_kernel_that_gives_up_the_interpreter_lock_is_another_one(tmp_path: Path) -> None:
     """Its code is the same, but not what was compiled around it."""
-    text = "from stream.kernel import kernel\n\n@kernel{}\ndef outer(x):\n    return x + 1.0\n"
+    text = "from kinegraph.stream.kernel import kernel\n\n@kernel{}\ndef outer(x):\n    return x + 1.0\n"
     write(tmp_path / "free_gain.py", text.format(""))
     assert run(tmp_path, "free_gain", tmp_path / "cache")[1] > 0
     write(tmp_path / "free_gain.py", text.format("(nogil=True)"))

@@ -8,28 +8,28 @@ import numpy as np
 import parts
 import pytest
 
-from stream.chunk import Array, Chunk
-from stream.engine import row
-from stream.engine.pipeline import Pipeline
-from stream.errors import RunError
-from stream.graph.load import load_text
-from stream.operator import Emitted
-from stream.params import param
+from kinegraph.stream.chunk import Array, Chunk
+from kinegraph.stream.engine.flow import row
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.errors import RunError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.operator import Emitted
+from kinegraph.stream.params import param
 
 pytestmark = pytest.mark.skipif(not row.POSSIBLE, reason="this system has no rows")
 
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill, realtime: false}
-  rectify: {use: operators.rectify.Rectify, from: board.emg}
-  lowpass: {use: operators.iir.Lowpass, from: rectify, cutoff_hz: 20}
+  board: {use: devices.people.treadmill.Treadmill, realtime: false}
+  rectify: {use: operators.filters.rectify.Rectify, from: board.emg}
+  lowpass: {use: operators.filters.iir.Lowpass, from: rectify, cutoff_hz: 20}
   guest: {use: tests.engine.test_lent_arrays.Guest, from: lowpass, how: %s}
-  mean: {use: operators.moving.MovingMean, from: guest, window_s: 0.05}
-  scale: {use: operators.scale.Scale, from: mean, gain: 0.5}
+  mean: {use: operators.filters.moving.MovingMean, from: guest, window_s: 0.05}
+  scale: {use: operators.filters.scale.Scale, from: mean, gain: 0.5}
 """
 DIRECT = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill, realtime: false}
+  board: {use: devices.people.treadmill.Treadmill, realtime: false}
   guest: {use: tests.engine.test_lent_arrays.Guest, from: board.emg}
 """
 START = 10**18

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream.chunk import StreamSpec
-from stream.errors import GraphError, KinegraphError
-from stream.graph import Edge, Graph, NodeOptions, overrides
-from stream.graph.draft import build_from
-from stream.graph.load import load, load_text
-from stream.graph.parts import catalogue
-from stream.graph.problems import Problems
-from stream.graph.yaml_lines import Located
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import GraphError, KinegraphError
+from kinegraph.stream.graph import Edge, Graph, NodeOptions
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.graph.reading import overrides
+from kinegraph.stream.graph.reading.draft import build_from
+from kinegraph.stream.graph.reading.load import load, load_text
+from kinegraph.stream.graph.reading.problems import Problems
+from kinegraph.stream.graph.reading.yaml_lines import Located
 
 GOOD = """\
 name: walking
@@ -161,7 +162,7 @@ NODE_ERRORS = [
     ("a: {use: graph_parts.Lo, from: board}", 4, ["graph_parts has no 'Lo'", "did you mean 'Low'?"]),
     ("a: {use: graph_parts.np, from: board}", 4, ["must be a source, an operator or an outlet"]),
     ("a: {use: graph_parts.NoDataclass, from: board}", 4, ["is not a dataclass"]),
-    ("a: {use: stream.operator.Operator, from: board}", 4, ["must be a source, an operator or an outlet"]),
+    ("a: {use: stream.Operator, from: board}", 4, ["must be a source, an operator or an outlet"]),
     (
         "a: {use: stream.manuel.Value, initial: 1}",
         4,
@@ -363,8 +364,8 @@ def test_recorded_edges_that_the_recording_lacks_are_left_out() -> None:
 
 OPERATOR = """
 from dataclasses import dataclass
-from stream.operator import Operator
-from stream.params import param
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.params import param
 
 @dataclass(slots=True)
 class State:

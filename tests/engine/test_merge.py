@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, empty
-from stream.engine.merge import Merge
+from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, empty
+from kinegraph.stream.engine.flow.merge import Merge
 
 SPEC = StreamSpec((1,))
 Row = tuple[str, int, float, int]

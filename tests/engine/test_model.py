@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stream import bounded
-from stream.chunk import StreamSpec
-from stream.errors import InputError
-from stream.model import ModelError, describe_input, read_model, write_model
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.data import bounded
+from kinegraph.stream.data.model_file import ModelError, describe_input, read_model, write_model
+from kinegraph.stream.errors import InputError
 
 SPEC = StreamSpec((3,), rate_hz=100.0, channels=("x", "y", "z"), units=("m",))
 

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.oak import Oak
-from stream.chunk import Chunk, Specs
-from stream.conformance.play import through_file
-from stream.engine import warmup
-from stream.engine.pipeline import Pipeline
-from stream.engine.session import Session
-from stream.graph import Graph, Node
-from stream.graph.load import load, load_text
-from stream.graph.parts import is_ours
-from stream.operator import Operator
-from stream.outlet import Outlet
+from kinegraph.devices.oak import Oak
+from kinegraph.stream.chunk import Chunk, Specs
+from kinegraph.stream.engine import warmup
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph import Graph, Node
+from kinegraph.stream.graph.components import is_ours
+from kinegraph.stream.graph.reading.load import load, load_text
+from kinegraph.stream.laws.play import through_file
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.outlet import Outlet
 from tests.support.pose_model import pose_network_or_skip
 
 CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
@@ -137,7 +137,7 @@ class Keeps(Outlet[None]):
 OUTSIDE = """
 nodes:
   a: {use: parts.Counting, samples: 300}
-  low: {use: operators.iir.Lowpass, cutoff_hz: 20, from: a}
+  low: {use: operators.filters.iir.Lowpass, cutoff_hz: 20, from: a}
   total: {use: tests.engine.test_opened_once.Sloppy, from: a}
   kept: {use: tests.engine.test_opened_once.Keeps, from: total}
 """

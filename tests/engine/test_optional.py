@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from stream.errors import DeviceError, KinegraphError
-from stream.optional import optional
+from kinegraph.stream.errors import DeviceError, KinegraphError
+from kinegraph.stream.system.extras import optional
 
 INSTALL = "pip install 'kinegraph[oak]'"
 

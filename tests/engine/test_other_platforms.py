@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from devices.transport.transport import SerialTransport
-from stream.errors import DeviceError
+from kinegraph.devices.transport.transport import SerialTransport
+from kinegraph.stream.errors import DeviceError
 
 HOUSE = Path(__file__).resolve().parents[2]
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import structlog
 
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.graph import RecordingOptions
-from stream.operator import grid
-from stream.plain import HARMFUL
-from stream.recording import Recorder
-from stream.screen import Screen
-from stream.sheet import Sheet
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.data.csv_writer import Sheet
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recorder
+from kinegraph.stream.text.safe_text import HARMFUL
+from kinegraph.stream.text.screen import Screen
 from tests.support.command_line import QUIET, Command
 
 HOSTILE = (
@@ -82,7 +82,7 @@ def test_a_graph_is_refused_in_plain_words(kinegraph: Command, tmp_path: Path, t
 
 
 def test_log_lines_are_plain(capsys: pytest.CaptureFixture[str]) -> None:
-    from stream.commands import logs
+    from kinegraph.stream.cli.commands import logs
 
     logs.set_up()
     try:

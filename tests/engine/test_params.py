@@ -10,10 +10,10 @@ import jsonschema
 import numpy as np
 import pytest
 
-from stream.errors import ParameterError
-from stream.operator import Operator
-from stream.params import MissingParameter, build, check, help_of, param, schema
-from stream.source import Source
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.params import MissingParameter, build, check, help_of, param, schema
+from kinegraph.stream.source import Source
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from operators.iir import Lowpass
-from stream.errors import GraphError
-from stream.graph import Graph
-from stream.graph.load import load, load_text
+from kinegraph.operators.filters.iir import Lowpass
+from kinegraph.stream.errors import GraphError
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.graph.reading.load import load, load_text
 from tests.support.command_line import Command, kinegraph, refused
 
 __all__ = ["kinegraph"]
@@ -32,7 +32,7 @@ SMOOTH = """\
 part: {inputs: {in: a signal}, outputs: {low: low}}
 settings: {cut: {feeds: low.cutoff_hz, type: number}}
 nodes:
-  low: {use: operators.iir.Lowpass, from: in}
+  low: {use: operators.filters.iir.Lowpass, from: in}
 """
 WALK = """\
 # A walk.
@@ -41,12 +41,12 @@ settings:
   smoothness: {feeds: left.cutoff_hz, default: 10}
 record: [left.low]
 nodes:
-  treadmill: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 2}
+  treadmill: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 2}
   left: {use: parts/leg.yaml, from: treadmill.emg}
   right: {use: parts/leg.yaml, from: {emg: treadmill.emg}, cutoff_hz: 30}
-  more: {use: operators.iir.Lowpass, from: right, cutoff_hz: 2}
+  more: {use: operators.filters.iir.Lowpass, from: right, cutoff_hz: 2}
 """
-NODES = "nodes:\n  treadmill: {use: devices.simulators.treadmill.Treadmill}\n"
+NODES = "nodes:\n  treadmill: {use: devices.people.treadmill.Treadmill}\n"
 
 
 @pytest.fixture
@@ -138,7 +138,7 @@ def test_commands_show_the_nodes_of_parts(kinegraph: Command, folder: Path, comm
 
 
 def test_errors_name_both_files_and_lines(folder: Path) -> None:
-    part = "part: {inputs: {in: x}}\nnodes:\n  low: {use: operators.iir.Lowpass, from: in, cutoff_hz: 5000}\n"
+    part = "part: {inputs: {in: x}}\nnodes:\n  low: {use: operators.filters.iir.Lowpass, from: in, cutoff_hz: 5000}\n"
     told = wrong("  slow: {use: parts/mine.yaml, from: treadmill.emg}\n", part)
     assert told.startswith("parts/mine.yaml:3: node 'slow.low': cutoff_hz is 5000") and "bad.yaml:3" in told
     part = LEG.replace("default: 20, min: 1, max: 60, ", "")
@@ -173,7 +173,9 @@ def test_what_is_wrong_with_a_part_or_its_use(folder: Path, node: str, part: str
 
 
 def test_parts_that_feed_each_other_in_a_circle_are_refused(folder: Path) -> None:
-    through = "part: {inputs: {in: x}, outputs: {out: in}}\nnodes:\n  a: {use: operators.rectify.Rectify, from: in}\n"
+    through = (
+        "part: {inputs: {in: x}, outputs: {out: in}}\nnodes:\n  a: {use: operators.filters.rectify.Rectify, from: in}\n"
+    )
     both = "  one: {use: parts/mine.yaml, from: two}\n  two: {use: parts/mine.yaml, from: one}\n"
     assert "parts feed each other in a circle" in wrong(both, through)
 
@@ -196,7 +198,7 @@ def test_parts_that_grow_without_end_are_refused(folder: Path) -> None:
 def test_a_name_that_begins_with_another_nodes_name_is_refused() -> None:
     nodes = (
         NODES
-        + "  a: {use: operators.rectify.Rectify, from: treadmill.emg}\n  a.b: {use: operators.rectify.Rectify, from: a}\n"
+        + "  a: {use: operators.filters.rectify.Rectify, from: treadmill.emg}\n  a.b: {use: operators.filters.rectify.Rectify, from: a}\n"
     )
     with pytest.raises(GraphError, match=r"the name of the node 'a.b' begins with that of the node 'a'"):
         load_text(nodes)
@@ -206,7 +208,7 @@ def test_an_optional_input_that_is_not_connected_is_left_out(folder: Path) -> No
     part = """\
 part: {inputs: {emg: x, more: {optional: true}}, outputs: {out: both}}
 nodes:
-  both: {use: operators.align.Align, from: {a: emg, b: more}, rate_hz: 100}
+  both: {use: operators.timing.align.Align, from: {a: emg, b: more}, rate_hz: 100}
 """
     (folder / "parts" / "mine.yaml").write_text(part)
     for reads, ports in (("treadmill.emg", {"a"}), ("{emg: treadmill.emg, more: treadmill.force}", {"a", "b"})):
@@ -215,7 +217,7 @@ nodes:
 
 
 def test_a_list_connects_the_outputs_of_parts_to_inputs_of_the_same_names(folder: Path) -> None:
-    part = "part: {inputs: {emg: x, low: y}}\nnodes:\n  both: {use: operators.align.Align, from: [emg, low], rate_hz: 100}\n"
+    part = "part: {inputs: {emg: x, low: y}}\nnodes:\n  both: {use: operators.timing.align.Align, from: [emg, low], rate_hz: 100}\n"
     (folder / "parts" / "mine.yaml").write_text(part)
     text = WALK + "  it: {use: parts/mine.yaml, from: [left]}\n"
     assert [str(edge) for edge in load_text(text).nodes["it.both"].inputs.values()] == [

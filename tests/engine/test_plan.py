@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from stream.backpressure import held_bytes
-from stream.engine.session import Session
-from stream.errors import GraphError
-from stream.graph import Graph, policy_of
-from stream.graph.load import load_text
-from stream.graph.plan import plan
-from stream.shortfall import reader_of
-from stream.time_text import delay
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.shortfall import reader_of
+from kinegraph.stream.errors import GraphError
+from kinegraph.stream.graph import Graph, policy_of
+from kinegraph.stream.graph.backpressure import held_bytes
+from kinegraph.stream.graph.plan import plan
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.text.time_text import delay
 from tests.engine.test_load import nodes
 from tests.support import SUPPORT
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from stream.complete import be_private, complete, private_folder, write_complete
+from kinegraph.stream.system.atomic_file import be_private, complete, private_folder, write_complete
 from tests.support.command_line import KINEGRAPH, QUIET
 
 

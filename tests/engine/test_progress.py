@@ -7,14 +7,14 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from stream.progress import bar
+from kinegraph.stream.text.progress import bar
 
 
 @pytest.mark.parametrize("terminal", [True, False])
 def test_a_bar_is_shown_where_somebody_watches(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = StringIO()
     screen = Console(file=shown, force_terminal=terminal, force_interactive=True, width=100)
-    monkeypatch.setattr("stream.screen.Screen", lambda **_: screen)
+    monkeypatch.setattr("kinegraph.stream.text.screen.Screen", lambda **_: screen)
     with bar("reading [marks]") as progress:
         progress(1, 4)
         progress(4, 4)

@@ -1,4 +1,4 @@
-"""What a chunk may be, to the last nanosecond: on either side of each limit that `stream.promise` sets."""
+"""What a chunk may be, to the last nanosecond: on either side of each limit that `stream.engine.flow.promise` sets."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.promise import Inside, broken, ends, impossible
-from stream.stalls import calm
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.engine.flow.promise import Inside, broken, ends, impossible
+from kinegraph.stream.system.stalls import calm
 
 SPEC = StreamSpec((2,), rate_hz=100.0)
 END, LOST = 4_611_686_018_427_387_904, 281_474_976_710_656

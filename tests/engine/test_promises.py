@@ -10,15 +10,15 @@ import numpy as np
 import parts
 import pytest
 
-from stream.chunk import FOREVER, NS, Chunk
-from stream.engine.session import Session
-from stream.engine.status import Outcome
-from stream.errors import GraphError, RunError
-from stream.graph.load import load_text
-from stream.operator import Emitted
-from stream.params import param
-from stream.recording import Recording
-from stream.source import Feed
+from kinegraph.stream.chunk import FOREVER, NS, Chunk
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.status import Outcome
+from kinegraph.stream.errors import GraphError, RunError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.operator import Emitted
+from kinegraph.stream.params import param
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.source import Feed
 
 HOUR = 3600 * NS
 LATE = 500
@@ -91,8 +91,8 @@ GRAPH = """
 nodes:
   board: {use: parts.Counting}
   bad: {use: tests.engine.test_promises.%s, from: board%s}
-  rectify: {use: operators.rectify.Rectify, from: bad}
-  lowpass: {use: operators.iir.Lowpass, from: rectify, cutoff_hz: 20}
+  rectify: {use: operators.filters.rectify.Rectify, from: bad}
+  lowpass: {use: operators.filters.iir.Lowpass, from: rectify, cutoff_hz: 20}
   sibling: {use: parts.Collect, from: board, policy: block}
 record: [bad, lowpass]
 """
@@ -151,7 +151,7 @@ def test_what_an_operator_does_to_its_input_never_reaches_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where nothing keeps it from writing: the recorder has its own copy."""
-    monkeypatch.setattr("stream.graph.parts.is_ours", lambda part: True)
+    monkeypatch.setattr("kinegraph.stream.graph.components.is_ours", lambda part: True)
     run("Scribbles", "", tmp_path / "s")
     whole(tmp_path / "s")
 
@@ -159,7 +159,7 @@ def test_what_an_operator_does_to_its_input_never_reaches_the_recording(
 def test_an_operator_that_always_writes_is_refused_by_the_warm_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stream.graph.parts.is_ours", lambda part: True)
+    monkeypatch.setattr("kinegraph.stream.graph.components.is_ours", lambda part: True)
     with pytest.raises(GraphError, match=r"node 'bad'.* writes into its input 'in'"):
         run("Scribbles", ", since: -1000000", tmp_path / "s")
 
@@ -199,9 +199,9 @@ record: [board]
 @pytest.mark.parametrize(
     ("ours", "reader", "found"),
     [
-        (False, "rectify: {use: operators.rectify.Rectify, from: bad}", True),
+        (False, "rectify: {use: operators.filters.rectify.Rectify, from: bad}", True),
         (True, "out: {use: parts.Collect, from: bad}", True),
-        (True, "rectify: {use: operators.rectify.Rectify, from: bad}", False),
+        (True, "rectify: {use: operators.filters.rectify.Rectify, from: bad}", False),
     ],
 )
 def test_stamps_ahead_are_found_where_nothing_is_recorded(
@@ -209,7 +209,7 @@ def test_stamps_ahead_are_found_where_nothing_is_recorded(
 ) -> None:
     """After an operator from outside, and before an outlet; our own operators are trusted between themselves, for the laws try them."""
     if ours:
-        monkeypatch.setattr("stream.engine.pipeline.is_ours", lambda part: True)
+        monkeypatch.setattr("kinegraph.stream.engine.pipeline.is_ours", lambda part: True)
     parts.seen.clear()
     outcome = Session(load_text(UNRECORDED % reader, path=__file__), tmp_path / "s").run()
     assert (outcome.exit_code == 4) == found

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream import remembered as module
-from stream.chunk import Samples
-from stream.remembered import remembered
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.data import design_cache as module
+from kinegraph.stream.data.design_cache import remembered
 
 
 @pytest.fixture

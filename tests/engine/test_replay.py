@@ -10,13 +10,13 @@ import numpy as np
 import parts
 import pytest
 
-from stream.chunk import Chunk
-from stream.engine.queues import Drops
-from stream.engine.replay import Digest, Replay
-from stream.engine.session import Session
-from stream.graph import Graph
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.engine.flow.queues import Drops
+from kinegraph.stream.engine.replay import Digest, Replay
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 from tests.support import SUPPORT
 
 EVENTFUL = """
@@ -107,7 +107,7 @@ def test_a_replay_keeps_a_chosen_pace(tmp_path: Path) -> None:
 
 def test_samples_beyond_those_recorded_are_a_difference(tmp_path: Path) -> None:
     text = "record: [high.onset]\nnodes:\n  board: {use: parts.Counting}\n"
-    text += "  high: {use: operators.threshold.Threshold, from: board, level: %s, channel: 0}\n"
+    text += "  high: {use: operators.filters.threshold.Threshold, from: board, level: %s, channel: 0}\n"
     Session(graph_of(text % 1e9), tmp_path / "s").run()
     with Recording.open(tmp_path / "s") as recording:
         assert recording.streams["high.onset"].samples == 0
@@ -116,7 +116,7 @@ def test_samples_beyond_those_recorded_are_a_difference(tmp_path: Path) -> None:
 
 
 def test_a_changed_parameter_shows_as_a_difference(tmp_path: Path) -> None:
-    text = "record: [low]\nnodes:\n  board: {use: parts.Counting}\n  low: {use: operators.iir.Lowpass, from: board, cutoff_hz: %d}\n"
+    text = "record: [low]\nnodes:\n  board: {use: parts.Counting}\n  low: {use: operators.Lowpass, from: board, cutoff_hz: %d}\n"
     Session(graph_of(text % 20), tmp_path / "s").run()
     with Recording.open(tmp_path / "s") as recording:
         assert Replay(graph_of(text % 20, recording), recording).run().differing == []

@@ -13,35 +13,35 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.decimate import Decimate
-from operators.derivative import Derivative
-from operators.iir import Lowpass
-from operators.moving import MovingMean
-from operators.rectify import Rectify
-from operators.scale import straight_line
-from stream.chunk import FOREVER, Array, Chunk, StreamSpec, empty
-from stream.engine import row
-from stream.engine.pipeline import Pipeline
-from stream.engine.warmup import Compilations
-from stream.errors import GraphError
-from stream.filter import KernelCall
-from stream.graph.load import load_text
-from stream.kernel import is_kernel, kernel
-from stream.operator import Operator
+from kinegraph.operators.filters.decimate import Decimate
+from kinegraph.operators.filters.derivative import Derivative
+from kinegraph.operators.filters.iir import Lowpass
+from kinegraph.operators.filters.moving import MovingMean
+from kinegraph.operators.filters.rectify import Rectify
+from kinegraph.operators.filters.scale import straight_line
+from kinegraph.stream.chunk import FOREVER, Array, Chunk, StreamSpec, empty
+from kinegraph.stream.engine.flow import row
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.warmup import Compilations
+from kinegraph.stream.errors import GraphError
+from kinegraph.stream.filter import KernelCall
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.kernel import is_kernel, kernel
+from kinegraph.stream.operator import Operator
 
 pytestmark = pytest.mark.skipif(not row.POSSIBLE, reason="this system has no rows")
 
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill, realtime: false}
-  choose: {use: operators.channels.Select, from: board.emg, channels: [2, 0, 1]}
-  centre: {use: operators.mean.RemoveMean, from: choose, window_s: 0.05}
-  rectify: {use: operators.rectify.Rectify, from: centre}
-  lowpass: {use: operators.iir.Lowpass, from: rectify, cutoff_hz: 20}
-  thin: {use: operators.decimate.Decimate, from: lowpass, every: 7}
-  mean: {use: operators.moving.MovingMean, from: thin, window_s: 0.05}
-  scale: {use: operators.scale.Scale, from: mean, gain: 0.5}
-  events: {use: operators.threshold.Threshold, from: scale, level: 0.2, channel: 0}
+  board: {use: devices.people.treadmill.Treadmill, realtime: false}
+  choose: {use: operators.filters.channels.Select, from: board.emg, channels: [2, 0, 1]}
+  centre: {use: operators.filters.mean.RemoveMean, from: choose, window_s: 0.05}
+  rectify: {use: operators.filters.rectify.Rectify, from: centre}
+  lowpass: {use: operators.filters.iir.Lowpass, from: rectify, cutoff_hz: 20}
+  thin: {use: operators.filters.decimate.Decimate, from: lowpass, every: 7}
+  mean: {use: operators.filters.moving.MovingMean, from: thin, window_s: 0.05}
+  scale: {use: operators.filters.scale.Scale, from: mean, gain: 0.5}
+  events: {use: operators.filters.threshold.Threshold, from: scale, level: 0.2, channel: 0}
 """
 NAMES = ("choose", "centre", "rectify", "lowpass", "thin", "mean", "scale")
 START = 10**18
@@ -177,7 +177,7 @@ def written() -> set[str]:
 
 def test_a_first_session_compiles_nothing_while_it_runs(tmp_path: Path) -> None:
     (tmp_path / "g.yaml").write_text(GRAPH.replace("realtime: false", "duration_s: 1.5"))
-    command = [sys.executable, "-m", "stream", "run", "g.yaml", "--no-record", "--view", "lines"]
+    command = [sys.executable, "-m", "kinegraph.stream", "run", "g.yaml", "--no-record", "--view", "lines"]
     environment = {**os.environ, "KINEGRAPH_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "compiled while running" not in done.stderr, done.stderr
@@ -220,7 +220,7 @@ class Stampless(Rectify):
     ],
 )
 def test_a_slip_in_a_declaration_names_the_node(part: str, told: str) -> None:
-    text = GRAPH.replace("operators.rectify.Rectify", f"tests.engine.test_rows.{part}")
+    text = GRAPH.replace("operators.filters.rectify.Rectify", f"tests.engine.test_rows.{part}")
     with pytest.raises(GraphError, match=f"node 'rectify': {told}"):
         load_text(text)
 
@@ -242,8 +242,8 @@ def _nested() -> Callable[..., None]:
 KEPT = """
 import sys
 import tests.engine.test_rows as rows
-from stream.engine.pipeline import Pipeline
-from stream.graph.load import load_text
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.graph.reading.load import load_text
 made = Pipeline(load_text(rows.GRAPH))
 made.compile()
 run = next(module.run for name, module in sys.modules.items() if name.startswith("kinegraph_row_"))

@@ -16,17 +16,17 @@ import parts
 import pytest
 from structlog.testing import capture_logs
 
-from stream.chunk import NS, Chunk, empty
-from stream.engine import session_log
-from stream.engine.pipeline import Pipeline
-from stream.engine.session import Session
-from stream.engine.status import Outcome
-from stream.errors import DeviceError, GraphError, RecordingError, RunError
-from stream.graph import Graph
-from stream.graph.load import load_text
-from stream.recording import Recording
-from stream.recording.checkpoint import NAME as CHECKPOINT
-from stream.source import Feed
+from kinegraph.stream.chunk import NS, Chunk, empty
+from kinegraph.stream.engine import session_log
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.status import Outcome
+from kinegraph.stream.errors import DeviceError, GraphError, RecordingError, RunError
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format.checkpoint import NAME as CHECKPOINT
+from kinegraph.stream.source import Feed
 from tests.support import SUPPORT
 
 opened: list[Recording] = []
@@ -431,11 +431,11 @@ def test_a_value_out_of_bounds_is_refused_with_its_bounds() -> None:
 def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
     graph = SUPPORT / f"signal-{number}.yaml"
     config = tmp_path / "graph.yaml"
-    config.write_text("nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n")
+    config.write_text("nodes:\n  board: {use: devices.people.treadmill.Treadmill}\n")
     assert not graph.exists()
     folder = tmp_path / "s"
     process = subprocess.Popen(
-        [sys.executable, "-m", "stream", "run", str(config), "-o", str(folder), "--view", "none"],
+        [sys.executable, "-m", "kinegraph.stream", "run", str(config), "-o", str(folder), "--view", "none"],
         stdin=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -459,9 +459,9 @@ def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
 def test_a_session_whose_log_nobody_reads_any_more_ends_all_the_same(sent: str, tmp_path: Path) -> None:
     """As behind a terminal that was closed: what is said of the signal cannot be written."""
     config, folder = tmp_path / "graph.yaml", tmp_path / "s"
-    config.write_text("nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n")
+    config.write_text("nodes:\n  board: {use: devices.people.treadmill.Treadmill}\n")
     process = subprocess.Popen(
-        [sys.executable, "-m", "stream", "run", str(config), "-o", str(folder), "--view", "none"],
+        [sys.executable, "-m", "kinegraph.stream", "run", str(config), "-o", str(folder), "--view", "none"],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     try:

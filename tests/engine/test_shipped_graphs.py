@@ -6,12 +6,12 @@ import importlib.util
 from collections import defaultdict
 from pathlib import Path
 
-from stream.graph.expansion import expand, is_part
-from stream.graph.load import IMPLICIT
-from stream.graph.problems import Problems
-from stream.graph.settings_section import read_settings
-from stream.graph.shipped import shipped, shipped_parts
-from stream.graph.yaml_lines import parse
+from kinegraph.stream.graph.reading.expansion import expand, is_part
+from kinegraph.stream.graph.reading.load import IMPLICIT
+from kinegraph.stream.graph.reading.problems import Problems
+from kinegraph.stream.graph.reading.settings_section import read_settings
+from kinegraph.stream.graph.reading.yaml_lines import parse
+from kinegraph.stream.graph.shipped import shipped, shipped_parts
 from tests.support.command_line import Command, kinegraph
 
 __all__ = ["kinegraph"]

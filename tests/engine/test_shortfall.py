@@ -11,24 +11,24 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from devices.outlets.csv_file import CsvFile
-from devices.outlets.mqtt.message_queue import MessageQueue, MessageQueueState
-from devices.outlets.mqtt.outlet import MqttOutlet
-from devices.outlets.trigger import TriggerOutlet
-from stream.backpressure import Policy
-from stream.batch.manifest import JobEntry
-from stream.batch.study import BatchState
-from stream.chunk import Chunk, Specs, StreamSpec
-from stream.engine.queues import BoundedQueue
-from stream.engine.session import exit_code
-from stream.engine.workers import Workers
-from stream.errors import DeviceError, RunError
-from stream.graph import Edge
-from stream.graph.model import NodeOptions
-from stream.graph.parts import catalogue
-from stream.outlet import Outlet
-from stream.recording import RecorderStatus
-from stream.shortfall import INCOMPLETE, shortfalls
+from kinegraph.devices.mqtt.message_queue import MessageQueue, MessageQueueState
+from kinegraph.devices.mqtt.outlet import MqttOutlet
+from kinegraph.devices.outlets.csv_file import CsvFile
+from kinegraph.devices.outlets.trigger.outlet import TriggerOutlet
+from kinegraph.stream.batch.manifest import JobEntry
+from kinegraph.stream.batch.study import BatchState
+from kinegraph.stream.chunk import Chunk, Specs, StreamSpec
+from kinegraph.stream.engine.flow.queues import BoundedQueue
+from kinegraph.stream.engine.session import exit_code
+from kinegraph.stream.engine.shortfall import INCOMPLETE, shortfalls
+from kinegraph.stream.engine.workers import Workers
+from kinegraph.stream.errors import DeviceError, RunError
+from kinegraph.stream.graph import Edge
+from kinegraph.stream.graph.backpressure import Policy
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.graph.model import NodeOptions
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.recording import RecorderStatus
 
 SPEC = StreamSpec((1,), rate_hz=1000.0)
 OUTLETS = [use for use, part in catalogue(("devices",))[0].items() if issubclass(part, Outlet)]

@@ -8,14 +8,14 @@ from itertools import pairwise
 
 import pytest
 
-from stream.ceiling import taken
-from stream.engine import status
-from stream.engine.pipeline import Pipeline
-from stream.engine.status import SPARE_BYTES, MemoryWatch
-from stream.graph.load import load_text
-from stream.spare_memory import LARGE, give_back
+from kinegraph.stream.engine import status
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.status import SPARE_BYTES, MemoryWatch
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.system.malloc_tuning import LARGE, give_back
+from kinegraph.stream.system.memory_limit import taken
 
-GRAPH = "nodes: {a: {use: devices.ascii_lines.AsciiLines, port: x, columns: [v], rate_hz: 10}}"
+GRAPH = "nodes: {a: {use: devices.lines.AsciiLines, port: x, columns: [v], rate_hz: 10}}"
 MB = 1 << 20
 
 
@@ -36,8 +36,8 @@ def test_memory_that_was_freed_piece_by_piece_goes_back() -> None:
 LEARNT = """
 import sys
 from contextlib import nullcontext
-from stream.ceiling import taken
-from stream.stalls import calm
+from kinegraph.stream.system.memory_limit import taken
+from kinegraph.stream.system.stalls import calm
 bytearray(30 << 20)  # freed at once: from now on the C library takes pieces as large as that out of the heap
 with calm() if sys.argv[1] == "calm" else nullcontext():
     before, small = taken(), []

@@ -44,7 +44,7 @@ def test_a_recording_of_which_every_line_was_bad(
     kinegraph: Command, tmp_path: Path, garbage: str, seconds: str
 ) -> None:
     (tmp_path / "lines.yaml").write_text(
-        f"nodes:\n  lines: {{use: devices.ascii_lines.AsciiLines, port: '{garbage}', columns: [a, b], rate_hz: 50, deadline_s: 3}}\n"
+        f"nodes:\n  lines: {{use: devices.lines.AsciiLines, port: '{garbage}', columns: [a, b], rate_hz: 50, deadline_s: 3}}\n"
         "record: [lines]\n"
     )
     code, out, complaint = kinegraph("run", "lines.yaml", "--for", seconds, "-o", "session", "--view", "none")

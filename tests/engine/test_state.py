@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stream.chunk import FOREVER, NEVER, Array
-from stream.state import StateError, pack, size_of, unpack
+from kinegraph.stream.chunk import FOREVER, NEVER, Array
+from kinegraph.stream.data.state import StateError, pack, size_of, unpack
 
 
 @dataclass(slots=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from stream.chunk import FOREVER, NEVER, NS
-from stream.engine.status import Rates
+from kinegraph.stream.chunk import FOREVER, NEVER, NS
+from kinegraph.stream.engine.status import Rates
 
 
 def test_a_rate_is_over_the_last_ten_seconds_of_sample_time() -> None:

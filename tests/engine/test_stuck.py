@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from stream.recording import Recording
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import BOARD, KINEGRAPH, wait_for
 
 NODE = '''
@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
 
-from stream.chunk import FOREVER
-from stream.operator import Operator
-from stream.outlet import Outlet
-from stream.params import param
+from kinegraph.stream.chunk import FOREVER
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
 
 
 def in_python():
@@ -93,14 +93,14 @@ class Out(Stuck, Outlet):
         return {}
 '''
 RUN = """
-from stream.commands import ending
+from kinegraph.stream.cli.commands import ending
 ending.LOOK_S, ending.STUCK_S = %s
-from stream.cli import main
+from kinegraph.stream.cli.main import main
 main()
 """
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill}
+  board: {use: devices.people.treadmill.Treadmill}
   stuck: {use: stuck.%s, from: board.emg, %s}
 record: [board.emg]
 """

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.engine.replay import Replay
-from stream.engine.session import Session
-from stream.errors import GraphError, KinegraphError
-from stream.graph.load import load
-from stream.recording import Recording
+from kinegraph.stream.engine.replay import Replay
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import GraphError, KinegraphError
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.recording import Recording
 from tests.engine import test_crash as crash
 from tests.support import SUPPORT
 
@@ -24,9 +24,9 @@ record: [level, sum]
 recording: {flush_s: 0.2}
 nodes:
   camera: {use: camera_part.Camera}
-  level: {use: operators.depth.region.RegionDepth, from: camera.depth}
+  level: {use: operators.bed.frames.region.RegionDepth, from: camera.depth}
   sum: {use: parts.RunningSum, from: level}
-  other: {use: operators.depth.region.RegionDepth, from: camera.depth, rows: 5}
+  other: {use: operators.bed.frames.region.RegionDepth, from: camera.depth, rows: 5}
   othersum: {use: parts.RunningSum, from: other}
   board: {use: parts.Counting, samples: 2000}
   boardsum: {use: parts.RunningSum, from: board}
@@ -72,7 +72,7 @@ def test_replay_without_images_begins_at_the_recorded_edges(speed: float | None,
         for name in ("level", "sum", "board"):
             assert all(np.array_equal(a, b) for a, b in zip(first.read(name), again.read(name), strict=True))
     assert replayed(config, tmp_path / "again").substitutes.taken == ["level"]
-    command = [sys.executable, "-m", "stream", "replay", str(config), str(tmp_path / "s"), "--verify"]
+    command = [sys.executable, "-m", "kinegraph.stream", "replay", str(config), str(tmp_path / "s"), "--verify"]
     told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
     assert "the images of camera.depth were not recorded" in told and "taken from the recording: level" in told
     assert "not computed: other, othersum" in told and "sum: identical" in told and "level: identical" not in told

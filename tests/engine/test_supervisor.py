@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import parts
 
-from stream.engine.session import Session
-from stream.engine.status import Outcome
-from stream.graph.load import load_text
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.status import Outcome
+from kinegraph.stream.graph.reading.load import load_text
 from tests.support import SUPPORT
 
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.errors import KinegraphError
-from stream.model import ModelError, read_model, write_model
-from stream.owners import refuse_shared
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.file_permissions import refuse_shared
 from tests.support.command_line import BOARD, KINEGRAPH, QUIET, Command, refused
 
 MINE = """
 from pathlib import Path
-from operators.rectify import Rectify
+from kinegraph.operators.filters.rectify import Rectify
 Path({ran!r}).touch()
 """
 
@@ -60,7 +60,7 @@ def test_a_folder_that_others_may_write_is_not_run_from(kinegraph: Command, grap
 
 @pytest.mark.skipif(os.name != "posix", reason="owners as POSIX has them")
 def test_the_kernel_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from stream import kernel
+    from kinegraph.stream import kernel
 
     monkeypatch.setenv("KINEGRAPH_CACHE", str(tmp_path / "cache"))
     kernel.cache_folder.cache_clear()
@@ -83,7 +83,7 @@ def doubled(x: float) -> float:
 @pytest.mark.skipif(os.name != "posix", reason="owners as POSIX has them")
 def test_a_kernels_own_folder_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the umask of a program that imports kinegraph; and where one was left open, what may have been planted is not run."""
-    from stream import kernel
+    from kinegraph.stream import kernel
 
     monkeypatch.setenv("KINEGRAPH_CACHE", str(tmp_path / "cache"))
     kernel.cache_folder.cache_clear()
@@ -136,7 +136,7 @@ def test_a_file_of_an_optional_librarys_name_beside_the_graph_is_not_run(
     (tmp_path / "brainflow" / "__init__.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
     (tmp_path / "brainflow" / "board_shim.py").touch()
     (tmp_path / "g.yaml").write_text(
-        "nodes:\n  board: {use: devices.brainflow_board.BrainflowBoard, board: SYNTHETIC_BOARD}\n"
+        "nodes:\n  board: {use: devices.brainflow.BrainflowBoard, board: SYNTHETIC_BOARD}\n"
     )
     kinegraph(command[0], "g.yaml", *command[1:])
     assert not (tmp_path / "ran").exists()
@@ -171,7 +171,7 @@ def test_the_pages_token_stands_in_no_list_of_processes(tmp_path: Path) -> None:
             listed = b"".join(arguments(path) for path in Path("/proc").glob("[0-9]*/cmdline"))
         finally:
             process.terminate()
-    assert len(token) > 20 and b"devices.outlets.page.server" in listed
+    assert len(token) > 20 and b"devices.page.server" in listed
     assert token.encode() not in listed
 
 
@@ -189,7 +189,7 @@ def test_whatever_code_beside_a_graph_imports_is_nobody_elses(shared: str, tmp_p
     folder = tmp_path / "graph"
     (folder / "package").mkdir(parents=True, mode=0o755)
     (folder / "mine.py").write_text(
-        "from dataclasses import dataclass\nimport helper\nimport package.part\nfrom operators.rectify import Rectify\n"
+        "from dataclasses import dataclass\nimport helper\nimport package.part\nfrom operators.filters.rectify import Rectify\n"
         "@dataclass(frozen=True, slots=True)\nclass Mine(Rectify):\n"
         "    def open(self, specs):\n        import late\n        return Rectify.open(self, specs)\n"
     )

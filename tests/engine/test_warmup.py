@@ -14,13 +14,13 @@ import pytest
 import structlog
 from parts import Counting
 
-from stream.chunk import Chunk, Specs, StreamSpec
-from stream.commands import logs
-from stream.engine.pipeline import Pipeline
-from stream.engine.warmup import warm_up
-from stream.graph.load import load_text
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.stream.chunk import Chunk, Specs, StreamSpec
+from kinegraph.stream.cli.commands import logs
+from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.warmup import warm_up
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 MET: dict[str, int] = {}
 ROOT = Path(__file__).resolve().parents[2]
@@ -131,7 +131,7 @@ def test_made_up_samples_of_several_inputs_come_in_the_order_of_time() -> None:
     "use",
     [
         "operators.emg.mixtures.PeakMixtures",
-        "operators.emg.mixture_drift.MixtureDrift",
+        "operators.emg.mixtures.drift.MixtureDrift",
         "operators.body.extrema.Extrema",
     ],
 )

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from stream.commands.ending import LOOK_S, Ending
-from stream.engine.workers import Call
-from stream.graph.model import NodeOptions
+from kinegraph.stream.cli.commands.ending import LOOK_S, Ending
+from kinegraph.stream.engine.workers import Call
+from kinegraph.stream.graph.model import NodeOptions
 
 
 class Asked:

@@ -134,9 +134,9 @@ def test_streams_that_would_become_one_table_are_kept_apart(kinegraph: Command, 
 
 SLOW = """
 import sys, time
-import stream.cli
-import devices.files.csv_write as csv_write
-from stream.recording import recorder
+import kinegraph.stream.cli.main
+import kinegraph.devices.formats.table.csv_writer as csv_write
+from kinegraph.stream.recording import recorder
 
 def slowly(function):
     def call(*arguments, **options):
@@ -147,7 +147,7 @@ def slowly(function):
 csv_write._stamps = slowly(csv_write._stamps)
 recorder.Recorder.write = slowly(recorder.Recorder.write)
 sys.argv = ["kinegraph", *sys.argv[1:]]
-stream.cli.main()
+stream.cli.main.main()
 """
 
 

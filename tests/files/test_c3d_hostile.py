@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.files.c3d_read import read_c3d
-from devices.files.findings import Findings
-from stream.chunk import NS
-from stream.errors import RecordingError
+from kinegraph.devices.formats.c3d.reader import read_c3d
+from kinegraph.devices.formats.findings import Findings
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import RecordingError
 from tests.files.c3d_made import Made, but, c3d_bytes, real, texts, usual, whole
 from tests.support.measured import MOST_S
 

@@ -10,9 +10,9 @@ import ezc3d
 import numpy as np
 import pytest
 
-from devices.files.c3d_parameters import MIPS
-from devices.files.c3d_read import read_c3d
-from stream.errors import RecordingError
+from kinegraph.devices.formats.c3d.parameters import MIPS
+from kinegraph.devices.formats.c3d.reader import read_c3d
+from kinegraph.stream.errors import RecordingError
 from tests.support.real import needs_data
 
 FILES = Path(os.environ.get("KINEGRAPH_DATA", "/nonexistent")) / "files" / "c3d"

@@ -16,14 +16,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from devices.files.depthai_replay import DepthaiReplay
-from devices.protocols import depthai_frames as protocol
-from devices.protocols.depthai_frames import SCHEMA, decode
-from devices.simulators.sleeper import Sleeper
-from stream.chunk import NS
-from stream.errors import DeviceError
-from stream.recording.image import _field, _number
-from stream.recording.records import RecordFile, declared, messages
+from kinegraph.devices.people.sleeper import Sleeper
+from kinegraph.devices.recorded import depthai_frames as protocol
+from kinegraph.devices.recorded.depthai_frames import SCHEMA, decode
+from kinegraph.devices.recorded.depthai_replay import DepthaiReplay
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.recording.format.image import _field, _number
+from kinegraph.stream.recording.read.records import RecordFile, declared, messages
 from tests.support.device_feed import Kept, check, reading, wait_for
 
 needs_depthai = [
@@ -165,7 +165,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = [
         sys.executable,
         "-m",
-        "stream",
+        "kinegraph.stream",
         "simulate",
         "oak",
         f"record={path}",
@@ -222,7 +222,16 @@ class TestWithDepthai:
 
     def test_what_a_killed_recorder_left(self, tmp_path: Path) -> None:
         path = tmp_path / "killed.mcap"
-        command = [sys.executable, "-m", "stream", "simulate", "oak", f"record={path}", "width=320", "height=200"]
+        command = [
+            sys.executable,
+            "-m",
+            "kinegraph.stream",
+            "simulate",
+            "oak",
+            f"record={path}",
+            "width=320",
+            "height=200",
+        ]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
             try:
                 wait_for(lambda: path.exists() and path.stat().st_size > 3_000_000, 90)

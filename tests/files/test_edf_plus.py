@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from devices.files import edf_plus
-from devices.files.edf_plus import EdfSignal, Head, Note
-from devices.outlets.night import archive
-from devices.outlets.night.edf import write_edf
-from stream.chunk import NS
-from stream.errors import DeviceError
+from kinegraph.devices.formats.edf import edf_plus
+from kinegraph.devices.formats.edf.edf_plus import EdfSignal, Head, Note
+from kinegraph.devices.reports.night import archive
+from kinegraph.devices.reports.night.edf import write_edf
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError
 
 EVENING = 1_767_218_400 * NS
 STEP = 30 * NS

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 import pyxdf
 
-from stream import cli
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.columns import assemble, column_names, columns
-from stream.errors import RecordingError
-from stream.graph import RecordingOptions
-from stream.operator import grid
-from stream.recording import Recorder
-from stream.recording.series import Series, write_recording
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.data.columns import assemble, column_names, columns
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recorder
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.convert_run import arrays, assert_live_like, imported, kinegraph, refused
 from tests.support.real import real_file
 
@@ -158,7 +158,7 @@ def test_xdf_there_and_back(tmp_path: Path) -> None:
 
 def test_string_markers_of_other_programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = mixed(tmp_path / "r.mcap")
-    monkeypatch.setattr("devices.files.xdf_write.json", SimpleNamespace(dumps=lambda _: ""))
+    monkeypatch.setattr("kinegraph.devices.formats.xdf.writer.json", SimpleNamespace(dumps=lambda _: ""))
     kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf", "--stream", "notes")
     with imported(tmp_path, tmp_path / "r.xdf") as recording:
         notes = recording.read("notes")[1]

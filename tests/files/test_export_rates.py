@@ -11,11 +11,11 @@ import ezc3d
 import numpy as np
 import pytest
 
-from devices.files.exports.biosignals import _range
-from stream.chunk import NS, Array, Samples, StreamSpec, Times
-from stream.errors import RecordingError
-from stream.recording.series import write_recording
-from stream.series import Series
+from kinegraph.devices.formats.edf.export import _range
+from kinegraph.stream.chunk import NS, Array, Samples, StreamSpec, Times
+from kinegraph.stream.data.series import Series
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording.series import write_recording
 from tests.support.convert_run import kinegraph
 
 START = 1_700_000_000 * NS

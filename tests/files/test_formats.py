@@ -11,11 +11,11 @@ import pytest
 
 FORMAT = """
 import numpy as np
-from devices.files.exporter import Exporter
-from devices.files.importer import Importer
-from stream.chunk import NS, StreamSpec
-from stream.errors import RecordingError
-from stream.recording.series import Series
+from kinegraph.devices.formats.exporter import Exporter
+from kinegraph.devices.formats.importer import Importer
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording.series import Series
 
 
 def read(files, wishes, last):

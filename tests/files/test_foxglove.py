@@ -11,8 +11,8 @@ import pytest
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
-from devices.files.foxglove_write import FoxgloveWriter, keys_of
-from stream.chunk import NS, Chunk, StreamSpec, grid
+from kinegraph.devices.formats.table.foxglove_writer import FoxgloveWriter, keys_of
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, grid
 
 START = 1_700_000_000 * NS + 123
 EVENT = np.dtype([("onset", "<i8"), ("text", "<U16"), ("share", "<f8"), ("final", "?"), ("count", "<i4")])

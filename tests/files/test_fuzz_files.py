@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from stream.errors import KinegraphError
+from kinegraph.stream.errors import KinegraphError
 from tests.files import lab_replicas
 from tests.support.measured import MOST_S
 from tests.support.mutants import SECONDS, mutant, seed_of
@@ -86,7 +86,7 @@ def importing(*options: str) -> Reader:
     """The command itself, as a user calls it."""
 
     def read(path: Path) -> None:
-        from stream.cli import call
+        from kinegraph.stream.cli.main import call
 
         files = [path] if path.suffix != ".amc" else [path, path.with_suffix(".asf")]
         try:
@@ -98,13 +98,13 @@ def importing(*options: str) -> Reader:
 
 
 def hypnogram(path: Path) -> None:
-    from operators.sleep.evaluation.reference import read_hypnogram
+    from kinegraph.operators.sleep.evaluation.reference import read_hypnogram
 
     read_hypnogram(path)
 
 
 def truth(path: Path) -> None:
-    from operators.segmentation.evaluation.truth import read_truth
+    from kinegraph.operators.segmentation.evaluation.truth import read_truth
 
     read_truth(path)
 
@@ -113,9 +113,9 @@ def recording(path: Path) -> None:
     """Everything that `info`, `export`, `recover` and `replay` read of one."""
     import json
 
-    from stream.commands.info import facts
-    from stream.recording import Recording
-    from stream.recording.recover import rewrite
+    from kinegraph.stream.cli.commands.info import facts
+    from kinegraph.stream.recording import Recording
+    from kinegraph.stream.recording.recover import rewrite
 
     out = path.with_name("recovered.mcap")
     out.unlink(missing_ok=True)
@@ -133,20 +133,20 @@ def recording(path: Path) -> None:
 
 
 def checkpoint(path: Path) -> None:
-    from stream.recording.checkpoint import NAME, Checkpoint
+    from kinegraph.stream.recording.format.checkpoint import NAME, Checkpoint
 
     path.replace(path.with_name(NAME))
     Checkpoint.load(path.parent)
 
 
 def report(path: Path) -> None:
-    from devices.outlets.report.data import load
+    from kinegraph.devices.reports.session.contents.data import load
 
     load(path)
 
 
 def night(path: Path) -> None:
-    from devices.outlets.night import archive
+    from kinegraph.devices.reports.night import archive
 
     folder = path.parent / "nights" / "2024-05-01"
     folder.mkdir(parents=True, exist_ok=True)
@@ -157,7 +157,7 @@ def night(path: Path) -> None:
 
 def seeds(folder: Path, made: Path) -> dict[str, tuple[bytes, Reader]]:
     """A valid file of each format by the name that it goes by, and its reader."""
-    from stream.recording.checkpoint import NAME, Checkpoint
+    from kinegraph.stream.recording.format.checkpoint import NAME, Checkpoint
 
     np.savez(
         folder / "x.npz", emg=np.arange(60.0).reshape(20, 3), time=np.arange(20) / 100, names=np.array(["a", "b", "c"])
@@ -167,12 +167,12 @@ def seeds(folder: Path, made: Path) -> dict[str, tuple[bytes, Reader]]:
         folder / "truth.npz", label=np.repeat([0, -1, 1], 20), rate=np.array(30.0), label_names=np.array(["a", "b"])
     )
     Checkpoint(5, 7, "x", {"a": 1}, {}, {"a/z": np.arange(12.0), "a/n": np.array(3)}).save(folder)
-    from stream.cli import call
+    from kinegraph.stream.cli.main import call
 
     for suffix in ("xdf",):
         with pytest.raises(SystemExit):
             call("export", [str(made / "s"), "-o", str(folder / f"x.{suffix}")])
-    from stream.recording.place import parts_of
+    from kinegraph.stream.recording.format.paths import parts_of
 
     table = ["--stream", "emg=emg", "--rate", "emg=100"]
     found = {
@@ -215,7 +215,7 @@ EPOCHS = (
 
 
 def importing_skeleton(path: Path) -> None:
-    from devices.files.asf_read import read_amc, read_asf
+    from kinegraph.devices.formats.asf.reader import read_amc, read_asf
 
     motion = path.with_name("motion.amc")
     motion.write_text(AMC)

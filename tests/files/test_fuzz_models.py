@@ -16,20 +16,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import operators
-from operators.emg.emg_model import read_references, write_references
-from operators.emg.mixture_reference import References
-from operators.motion_graph.build import build_graph
-from operators.segmentation.taught import taught
-from operators.steering.stored import from_model
-from operators.steps.forest import StepModel
-from operators.whole_pose.operator import regression_of
-from stream.chunk import StreamSpec
-from stream.errors import KinegraphError
-from stream.humanoid import BONES
-from stream.model import read_model, write_model
-from stream.motion_graph import MotionGraph
-from stream.motion_index import MotionIndex
+from kinegraph import operators
+from kinegraph.operators.emg.mixtures.emg_model import read_references, write_references
+from kinegraph.operators.emg.mixtures.reference import References
+from kinegraph.operators.maps.motion_graph.build import build_graph
+from kinegraph.operators.pose.operator import regression_of
+from kinegraph.operators.segmentation.names.taught import taught
+from kinegraph.operators.steering.model.stored import from_model
+from kinegraph.operators.steps.forest import StepModel
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.data.model_file import read_model, write_model
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.motion_graph import MotionGraph
+from kinegraph.stream.domain.pose_map import MotionIndex
+from kinegraph.stream.errors import KinegraphError
 from tests.support.measured import MOST_S
 from tests.support.motion_made import RATE, TREE, take, walking
 from tests.support.mutants import SECONDS, mutant, seed_of

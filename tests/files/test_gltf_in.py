@@ -14,19 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.files.gltf_read import animated, read_gltf
-from devices.files.gltf_write import TOLERANCE_M, write_mesh, write_skeleton
-from devices.files.obj_read import read_obj
-from devices.outlets.page.web import bundle
-from devices.simulators.performer import true_pose
-from devices.simulators.quadruped import marked, topology, walking
-from operators.steering.parts import edges_of, seams_of
-from stream import cli
-from stream.chunk import Samples
-from stream.errors import RecordingError
-from stream.humanoid import usual_body
-from stream.joint_tree import joints_of
-from stream.recording import Recording
+from kinegraph.devices.formats.gltf.obj_reader import read_obj
+from kinegraph.devices.formats.gltf.reader import animated, read_gltf
+from kinegraph.devices.formats.gltf.writer import TOLERANCE_M, write_mesh, write_skeleton
+from kinegraph.devices.page.web import bundle
+from kinegraph.devices.people.performer import true_pose
+from kinegraph.devices.people.quadruped import marked, topology, walking
+from kinegraph.operators.steering.model.parts import edges_of, seams_of
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.domain.humanoid import usual_body
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording import Recording
 
 FRAMES = np.array([walking(k / 24) for k in range(24)])
 THREE = "three@0.187.0"

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.files.timing import lost_by_counter, regular
-from stream import cli
-from stream.errors import RecordingError
-from stream.operator import grid
+from kinegraph.devices.formats.timing import lost_by_counter, regular
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.operator import grid
 from tests.support.convert_run import DATA, arrays, assert_live_like, imported, refused
 from tests.support.real import needs_data, real_file
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.chunk import NS
-from stream.operator import grid
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.operator import grid
 from tests.support.convert_run import imported, refused
 
 
@@ -109,7 +109,15 @@ def test_bad_csv(tmp_path: Path, text: str, complaint: str) -> None:
 
 def test_a_bad_csv_ends_the_command_with_its_message_and_an_exit_code(tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("time,a\n0,1\n0.1,2,3\n")
-    command = [sys.executable, "-m", "stream", "import", str(tmp_path / "bad.csv"), "-o", str(tmp_path / "out.mcap")]
+    command = [
+        sys.executable,
+        "-m",
+        "kinegraph.stream",
+        "import",
+        str(tmp_path / "bad.csv"),
+        "-o",
+        str(tmp_path / "out.mcap"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2 and "line 3" in done.stderr and "Traceback" not in done.stderr
     assert not (tmp_path / "out.mcap").exists()

@@ -16,12 +16,12 @@ import pyedflib
 import pytest
 import scipy.io
 
-from devices.files.column_table import Wishes
-from devices.files.importer import read_files
-from stream.chunk import NS, StreamSpec
-from stream.errors import RecordingError
-from stream.operator import grid
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.importer import read_files
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.convert_run import kinegraph
 
 START = 1_700_000_000 * NS + NS // 4

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.files.column_table import Wishes
-from devices.files.findings import Findings
-from devices.files.importer import read_files
-from stream.chunk import NS
-from stream.errors import RecordingError
-from stream.recording.series import Series
+from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.findings import Findings
+from kinegraph.devices.formats.importer import read_files
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording.series import Series
 from tests.support.real import DATA_MARKS
 
 FILES = Path(os.environ.get("KINEGRAPH_DATA", "/nonexistent")) / "files"

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 import scipy.io
 
-from devices.files.column_table import Wishes
-from devices.files.findings import Findings
-from devices.files.importer import read_files
-from devices.files.lab import matlab
-from operators.emg.envelope import Envelope
-from operators.emg.quality import SignalQuality
-from stream.chunk import NS, StreamSpec
-from stream.errors import InputError, RecordingError
-from stream.recording.series import Series
+from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.findings import Findings
+from kinegraph.devices.formats.importer import read_files
+from kinegraph.devices.formats.lab import matlab
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.operators.emg.quality import SignalQuality
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.errors import InputError, RecordingError
+from kinegraph.stream.recording.series import Series
 from tests.files import lab_replicas as made
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.files.gltf_write import write_mesh
-from devices.files.obj_read import frames_in_order, read_obj
-from devices.simulators.quadruped import topology, walking
-from stream import cli
-from stream.errors import RecordingError
-from stream.recording import Recording
+from kinegraph.devices.formats.gltf.obj_reader import frames_in_order, read_obj
+from kinegraph.devices.formats.gltf.writer import write_mesh
+from kinegraph.devices.people.quadruped import topology, walking
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording import Recording
 
 FRAMES = np.array([walking(k / 6) for k in range(6)])
 FACES = topology().faces

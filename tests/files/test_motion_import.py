@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.files.asf_read import read_amc, read_asf
-from devices.files.bvh_read import read_bvh
-from devices.files.c3d_read import read_c3d
-from devices.files.kinect_read import ONE, read_kinect
-from devices.files.kinematics import in_turn, place
-from operators.features.skeleton import SETS, find_joints
-from stream import cli
-from stream.errors import RecordingError
-from stream.joint_tree import JointTree, joints_of
-from stream.recording import Recording
+from kinegraph.devices.formats.asf.reader import read_amc, read_asf
+from kinegraph.devices.formats.bvh.reader import read_bvh
+from kinegraph.devices.formats.c3d.reader import read_c3d
+from kinegraph.devices.formats.kinematics import in_turn, place
+from kinegraph.devices.formats.table.kinect import ONE, read_kinect
+from kinegraph.operators.features.skeleton import SETS, find_joints
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording import Recording
 from tests.support.real import needs_data
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))

@@ -16,23 +16,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 from structlog.testing import capture_logs
 
-from devices.files.bvh_read import read_bvh
-from devices.files.bvh_write import order_of
-from devices.files.gltf_write import write_mesh, write_skeleton
-from devices.outlets.bvh_file import BvhFile
-from devices.outlets.osc_points import OscPoints
-from devices.outlets.page.avatar_file import AVATAR
-from devices.outlets.page.web import bundle
-from devices.outlets.vmc import VmcOutlet
-from devices.outlets.vrchat import TRACKERS, VrchatTrackers
-from devices.protocols.osc import read_osc
-from devices.simulators.performer import true_pose
-from devices.simulators.quadruped import topology, walking
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.errors import DeviceError, InputError, KinegraphError, ParameterError
-from stream.humanoid import BONES, usual_body
-from stream.joint_tree import joints_of
-from stream.operator import grid
+from kinegraph.devices.formats.bvh.reader import read_bvh
+from kinegraph.devices.formats.bvh.writer import order_of
+from kinegraph.devices.formats.gltf.writer import write_mesh, write_skeleton
+from kinegraph.devices.osc.points import OscPoints
+from kinegraph.devices.osc.protocol import read_osc
+from kinegraph.devices.osc.vmc_outlet import VmcOutlet
+from kinegraph.devices.osc.vrchat import TRACKERS, VrchatTrackers
+from kinegraph.devices.outlets.bvh_file import BvhFile
+from kinegraph.devices.page.avatar_file import AVATAR
+from kinegraph.devices.page.web import bundle
+from kinegraph.devices.people.performer import true_pose
+from kinegraph.devices.people.quadruped import topology, walking
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.errors import DeviceError, InputError, KinegraphError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.support.command_line import KINEGRAPH
 
 TREE = usual_body()
@@ -49,7 +49,7 @@ def same_motion(path: Path, poses: Samples, rate_hz: float = 30.0) -> None:
     (made,) = (s for s in read_bvh(path, "cm") if s.name.endswith(".pose"))
     names = [BONES[j] for j in order_of(TREE)]
     assert made.spec.meta["skeleton"]["joints"] == names and made.spec.rate_hz == pytest.approx(rate_hz, rel=1e-6)
-    from stream.joint_tree import JointTree
+    from kinegraph.stream.domain.skeleton import JointTree
 
     places = joints_of(JointTree.of(made.spec), made.data)[1]
     assert len(places) == len(poses)
@@ -95,7 +95,7 @@ def exported(folder: Path, config: str, stream: str, place: Path, *more: str) ->
 def test_a_recorded_pose_is_exported(tmp_path: Path) -> None:
     graph = tmp_path / "g.yaml"
     graph.write_text(
-        "nodes:\n  someone: {use: devices.simulators.performer.Performer, realtime: false, duration_s: 4}\nrecord: [someone.pose]\n"
+        "nodes:\n  someone: {use: devices.people.performer.Performer, realtime: false, duration_s: 4}\nrecord: [someone.pose]\n"
     )
     exported(tmp_path, str(graph), "someone.pose", tmp_path / "out.bvh")
     same_motion(tmp_path / "out.bvh", np.array([true_pose(k / 30) for k in range(120)]))

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.files import RecordedStreams
-from stream.chunk import NS, StreamSpec
-from stream.errors import ParameterError
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.recorded import RecordedStreams
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.gait import naive_emg
 from tests.support.command_line import Command, kinegraph  # noqa: F401 - a fixture
 from tests.support.real import needs_data
@@ -58,7 +58,7 @@ def test_outputs_are_called_as_the_streams_are(tmp_path: Path) -> None:
 
 def test_every_sample_comes_moved_as_a_whole(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
     series = walk(Path("w.mcap"))
-    Path("g.yaml").write_text("nodes:\n  lab: {use: devices.files.RecordedStreams, path: w.mcap, speed: 0}\n")
+    Path("g.yaml").write_text("nodes:\n  lab: {use: devices.recorded.RecordedStreams, path: w.mcap, speed: 0}\n")
     assert kinegraph("run", "g.yaml", "-o", "out", "--view", "none")[0] == 0
     with Recording.open("out") as opened:
         time, data = opened.read("lab.analog")
@@ -72,8 +72,8 @@ def test_every_sample_comes_moved_as_a_whole(kinegraph: Command, tmp_path: Path)
 
 def test_beside_a_live_device_it_is_of_the_same_time(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
     walk(Path("w.mcap"))
-    live = "  board: {use: devices.simulators.treadmill.Treadmill, duration_s: 2}\n"
-    Path("g.yaml").write_text("nodes:\n  lab: {use: devices.files.RecordedStreams, path: w.mcap}\n" + live)
+    live = "  board: {use: devices.people.treadmill.Treadmill, duration_s: 2}\n"
+    Path("g.yaml").write_text("nodes:\n  lab: {use: devices.recorded.RecordedStreams, path: w.mcap}\n" + live)
     assert kinegraph("run", "g.yaml", "-o", "out", "--view", "none")[0] == 0
     with Recording.open("out") as opened:
         assert len(opened.read("lab.analog")[0]) == 2000
@@ -131,7 +131,7 @@ def test_a_first_graph_of_two_legs_has_limbs_as_a_dimension_and_one_report(kineg
     assert (
         "limbs: {left: L_*, right: R_*}" in text
         and text.count("LimbCycles") == 1
-        and "operators.gait.cycles" not in text
+        and "operators.cycles.cycles" not in text
     )
     assert kinegraph("run", "w.yaml", "-o", "live", "--view", "none", "--set", "lab.speed=0")[0] == 0
     with Recording.open("live") as opened:

@@ -15,10 +15,10 @@ import pytest
 import zstandard
 from mcap.opcode import Opcode
 
-from stream import bounded
-from stream.chunk import NS, StreamSpec
-from stream.errors import RecordingError
-from stream.recording.series import Series, write_recording
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.data import bounded
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.measured import MOST_MB, MOST_S, measured
 from tests.support.real import DATA_MARKS, real_file
 

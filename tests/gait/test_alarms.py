@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.alarms import Alarms
-from devices.outlets.report.tally import hear, nothing_yet
-from devices.simulators.treadmill import Treadmill
-from devices.simulators.treadmill.faults import Fault, Faults
-from operators.alarm import ALARM, ALARM_UNITS, ON, OVER
-from operators.emg.electrode_watch import ADVICE, ElectrodeWatch
-from operators.emg.quality import SignalQuality
-from operators.gait.cycle_watch import CycleWatch
-from operators.gait.cycles import Cycles
-from stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.devices.outlets.terminal.alarms import Alarms
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.devices.people.treadmill.faults import Fault, Faults
+from kinegraph.devices.reports.session.contents.tally import hear, nothing_yet
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.emg.quality import SignalQuality
+from kinegraph.operators.monitors.cycle_watch import CycleWatch
+from kinegraph.operators.monitors.electrode_watch import ADVICE, ElectrodeWatch
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER
 from tests.support.emg_run import contacts, drive, stamps
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_emg.yaml"

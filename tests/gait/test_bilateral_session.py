@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from stream.chunk import NS, Array
-from stream.recording import Recording
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.recording import Recording
 from tests.gait.naive_emg import cycles
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_both_legs.yaml"

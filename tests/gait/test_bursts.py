@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.outlets.osc import OscOutlet
-from devices.protocols.osc import read_osc
-from operators.emg.channel_watch import ChannelWatch
-from operators.emg.median_frequency import MedianFrequency
-from operators.gait.bursts import CycleBursts, spans
-from operators.gait.cycle import CLOSED, CLOSED_UNITS, POINTS, some_cycles
-from operators.gait.cycle_targets import CycleTargets, TargetBand
-from operators.gait.pattern_watch import PatternWatch
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.errors import ParameterError
+from kinegraph.devices.osc.outlet import OscOutlet
+from kinegraph.devices.osc.protocol import read_osc
+from kinegraph.operators.cycles.cycle import CLOSED, CLOSED_UNITS, POINTS, some_cycles
+from kinegraph.operators.cycles.statistics.bursts import CycleBursts, spans
+from kinegraph.operators.cycles.statistics.cycle_targets import CycleTargets, TargetBand
+from kinegraph.operators.cycles.statistics.median_frequency import MedianFrequency
+from kinegraph.operators.monitors.channel_watch import ChannelWatch
+from kinegraph.operators.monitors.pattern_watch import PatternWatch
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.errors import ParameterError
 from tests.support.emg_run import drive, stamps
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.emg.commands.electrode_check import check_electrodes
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.errors import InputError
-from stream.graph import RecordingOptions
-from stream.recording import Recorder
+from kinegraph.operators.emg.commands.electrode_check import check_electrodes
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder
 from tests.support.command_line import Command
 from tests.support.emg_run import stamps
 
@@ -112,7 +112,7 @@ def test_a_recording(kinegraph: Command, tmp_path: Path, fault: str, code: int) 
 @pytest.mark.parametrize(("faults", "code"), [("[]", 0), ("[{kind: hum, muscle: SO}]", 1)])
 def test_a_simulated_session(kinegraph: Command, tmp_path: Path, faults: str, code: int) -> None:
     (tmp_path / "g.yaml").write_text(
-        "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 16, faults: "
+        "nodes:\n  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 16, faults: "
         + faults
         + "}\n"
     )

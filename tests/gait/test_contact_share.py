@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.gait.statistics import CycleStatistics, share_of, shifted_pct
-from stream.chunk import FOREVER, Chunk
+from kinegraph.operators.cycles.statistics.operator import CycleStatistics, share_of, shifted_pct
+from kinegraph.stream.chunk import FOREVER, Chunk
 from tests.support.command_line import Command
 
 

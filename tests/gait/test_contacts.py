@@ -12,19 +12,19 @@ import pytest
 import structlog
 
 from bench import contacts as bench
-from devices.simulators.treadmill import Treadmill
-from operators.gait.acceleration import AccelerationContacts
-from operators.gait.contacts import Contacts
-from operators.gait.cycles import Cycles
-from operators.gait.force import ForceContacts, SwitchContacts
-from operators.gait.inertial import InertialContacts
-from operators.gait.marker import MarkerContacts, walker
-from stream.chunk import FOREVER, NS, Array, Chunk, Specs, StreamSpec
-from stream.engine.merge import Merge
-from stream.errors import InputError, ParameterError
-from stream.graph.parts import catalogue
-from stream.operator import grid
-from stream.params import build
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.operators.contacts.acceleration import AccelerationContacts
+from kinegraph.operators.contacts.contacts import Contacts
+from kinegraph.operators.contacts.force import ForceContacts, SwitchContacts
+from kinegraph.operators.contacts.inertial import InertialContacts
+from kinegraph.operators.contacts.marker import MarkerContacts, walker
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Specs, StreamSpec
+from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.operator import grid
+from kinegraph.stream.params import build
 from tests.support.real import needs_data
 
 START = 5 * NS

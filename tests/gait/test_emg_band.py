@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.emg.commands.comparison import _band
-from stream.chunk import Samples
+from kinegraph.operators.emg.commands.comparison import _band
+from kinegraph.stream.chunk import Samples
 
 SPM1D = os.environ.get("KINEGRAPH_SPM1D", "")
 THEIRS = """

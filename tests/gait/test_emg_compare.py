@@ -9,17 +9,17 @@ import pytest
 from scipy.cluster.hierarchy import linkage
 from typer.testing import CliRunner
 
-from operators.emg.commands.compare import compare
-from operators.emg.commands.comparison import _band, compare_sessions, scatter, standardised
-from operators.emg.commands.comparison_page import stretches
-from operators.emg.commands.session_cycles import _leave_out, check_alike, joined, read_sessions
-from operators.emg.commands.train_model import emg_model
-from operators.emg.emg_model import read_references
-from operators.emg.mixtures import PeakMixtures
-from operators.gait.limb_cycles import LIMB_CLOSED
-from stream.chunk import StreamSpec
-from stream.errors import InputError, KinegraphError
-from stream.recording.series import Series, write_recording
+from kinegraph.operators.cycles.limb_cycles import LIMB_CLOSED
+from kinegraph.operators.emg.commands.compare import compare
+from kinegraph.operators.emg.commands.comparison import _band, compare_sessions, scatter, standardised
+from kinegraph.operators.emg.commands.comparison_page import stretches
+from kinegraph.operators.emg.commands.session_cycles import _leave_out, check_alike, joined, read_sessions
+from kinegraph.operators.emg.commands.train_model import emg_model
+from kinegraph.operators.emg.mixtures.emg_model import read_references
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError, KinegraphError
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.gait.test_emg_drift import two_legs
 from tests.gait.test_emg_mixtures_live import bursts
 
@@ -123,7 +123,7 @@ def test_a_session_beside_itself_differs_nowhere(three, tmp_path):
 def test_a_stored_reference_is_for_its_muscles_and_its_normalisation(three, tmp_path):
     done = run(emg_model, *three[:2], "-o", tmp_path / "m.npz")
     assert done.exit_code == 0, done.output
-    from operators.emg.mixtures import PeakMixtures as Mixer
+    from kinegraph.operators.emg.mixtures.operator import PeakMixtures as Mixer
 
     def mixture(names=("TA", "SO"), **meta):
         inputs = bursts(2, names=names)
@@ -149,7 +149,7 @@ def test_places_are_told_as_stretches():
 
 
 def both_legs(path):
-    """A recorded session of two legs, as operators.gait.limb_cycles leaves it."""
+    """A recorded session of two legs, as operators.cycles.limb_cycles leaves it."""
     left, right, both = two_legs(20)
     _, stamps, rows = both["closed"]
     named = np.zeros(len(rows), LIMB_CLOSED)

@@ -9,11 +9,11 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import butter, sosfiltfilt
 
-from operators.gait.cycles import Cycles
-from operators.gait.ensemble import CycleEnsemble
-from operators.gait.statistics import CycleStatistics
-from stream.chunk import StreamSpec
-from stream.errors import InputError, ParameterError
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
+from kinegraph.operators.cycles.statistics.operator import CycleStatistics
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
 from tests.gait import naive_emg
 from tests.support.emg_run import contacts, drive, enveloped, stamps, treadmill
 

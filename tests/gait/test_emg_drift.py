@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.emg.mixture_drift import MixtureDrift
-from operators.emg.mixture_pairs import pairing
-from operators.emg.mixture_reference import chance_limit
-from operators.emg.mixtures import PeakMixtures, some_maxima
-from operators.emg.peak_window import PeakWindow
-from operators.emg.refit import Refit
-from stream.chunk import NS, StreamSpec
-from stream.errors import InputError, ParameterError
+from kinegraph.operators.emg.mixtures.drift import MixtureDrift
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures, some_maxima
+from kinegraph.operators.emg.mixtures.pairs import pairing
+from kinegraph.operators.emg.mixtures.peak_window import PeakWindow
+from kinegraph.operators.emg.mixtures.reference import chance_limit
+from kinegraph.operators.emg.mixtures.refit import Refit
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
 from tests.gait.test_emg_mixtures_live import bursts, paced
 from tests.support.emg_run import drive
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stream.recording import Recording
+from kinegraph.stream.recording import Recording
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_emg.yaml"
 SINCE_S = 80

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from operators.emg.envelope import Envelope
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.errors import InputError, ParameterError
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
 from tests.gait.naive_emg import zero_phase_envelope
 from tests.support.emg_run import recording
 

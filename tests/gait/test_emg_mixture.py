@@ -11,10 +11,10 @@ from scipy.signal import find_peaks as find_tops
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from operators.emg.mixture_distance import cauchy_schwarz, kullback_leibler, merge_close_modes
-from operators.emg.mixture_kernel import begin_mixture, cluster_places, fit, full
-from operators.emg.peaks_kernel import find_peaks
-from stream.chunk import Samples
+from kinegraph.operators.emg.mixtures.distance import cauchy_schwarz, kullback_leibler, merge_close_modes
+from kinegraph.operators.emg.mixtures.kernel import begin_mixture, cluster_places, fit, full
+from kinegraph.operators.emg.mixtures.peaks_kernel import find_peaks
+from kinegraph.stream.chunk import Samples
 from tests.gait.naive_emg import cycles, local_maxima, zero_phase_envelope
 from tests.support.real import needs_data
 

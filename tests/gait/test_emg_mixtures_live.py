@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from operators.emg.mixtures import PeakMixtures, some_maxima
-from operators.emg.peak_window import PeakWindow
-from operators.emg.refit import Refit
-from operators.gait.cycle import CLOSED, POINTS
-from operators.gait.cycles import Cycles
-from stream.chunk import NS, StreamSpec
-from stream.conformance.case_samples import tapes_of
-from stream.conformance.cut import whole
-from stream.conformance.play import Player
+from kinegraph.operators.cycles.cycle import CLOSED, POINTS
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures, some_maxima
+from kinegraph.operators.emg.mixtures.peak_window import PeakWindow
+from kinegraph.operators.emg.mixtures.refit import Refit
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.laws.case_samples import tapes_of
+from kinegraph.stream.laws.chunking import whole
+from kinegraph.stream.laws.play import Player
 from tests.gait.test_emg_mixture import as_scikit_learn
 from tests.support.emg_run import drive, enveloped, treadmill
 from tests.support.steep_walk import cut, steep_walk

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from operators.emg.amplitude_reference import AmplitudeReference, CalibrationError
-from operators.emg.commands.calibrate import calibrate, envelope_of
-from operators.emg.envelope import Envelope
-from operators.emg.normalise import Normalise
-from operators.gait.cycles import Cycles
-from operators.gait.ensemble import CycleEnsemble
-from operators.gait.statistics import CycleStatistics
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.errors import InputError, KinegraphError, ParameterError
-from stream.graph import RecordingOptions
-from stream.recording import Recorder
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
+from kinegraph.operators.cycles.statistics.operator import CycleStatistics
+from kinegraph.operators.emg.amplitude_reference import AmplitudeReference, CalibrationError
+from kinegraph.operators.emg.commands.calibrate import calibrate, envelope_of
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.operators.emg.normalise import Normalise
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.errors import InputError, KinegraphError, ParameterError
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder
 from tests.support.emg_run import contacts, drive, enveloped, stamps, treadmill
 
 NAMES = ("TA", "SO")
@@ -235,7 +235,7 @@ def test_the_envelope_is_the_graphs():
 NORMALISED = """
 session: {subject: %s}
 nodes:
-  treadmill: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 2}
+  treadmill: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 2}
   envelope: {use: operators.emg.Envelope, from: treadmill.emg}
   amplitude: {use: operators.emg.normalise.Normalise, from: envelope, method: mvc, reference: REFERENCE%s}
 """
@@ -249,16 +249,16 @@ def reference_of(subject, path, names):
 
 
 def graph_of(subject, reference, more=""):
-    from stream.graph.load import load_text
+    from kinegraph.stream.graph.reading.load import load_text
 
     return load_text((NORMALISED % (subject, more)).replace("REFERENCE", str(reference)))
 
 
 @pytest.fixture
 def of_s01(tmp_path):
-    from stream.graph.load import load_text
+    from kinegraph.stream.graph.reading.load import load_text
 
-    graph = load_text("nodes: {treadmill: {use: devices.simulators.treadmill.Treadmill}}")
+    graph = load_text("nodes: {treadmill: {use: devices.people.treadmill.Treadmill}}")
     return reference_of("S01", tmp_path / "S01.mvc.json", graph.nodes["treadmill"].specs["emg"].channels)
 
 
@@ -276,9 +276,9 @@ def test_the_same_person_an_unknown_one_and_one_that_is_forced_are_taken(of_s01,
 
 
 def test_a_replay_goes_by_the_subject_of_the_recording(of_s01, tmp_path):
-    from stream.engine.replay import Replay
-    from stream.graph.load import load_text
-    from stream.recording import Recording
+    from kinegraph.stream.engine.replay import Replay
+    from kinegraph.stream.graph.reading.load import load_text
+    from kinegraph.stream.recording import Recording
 
     names = AmplitudeReference.read(of_s01).channels
     spec = StreamSpec((len(names),), rate_hz=1000.0, channels=tuple(names), units=("uV",))

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from operators.emg.commands.compare import compare
-from operators.emg.commands.train_model import emg_model
-from operators.emg.mixtures import PeakMixtures
-from operators.gait.cycles import Cycles
-from stream.chunk import StreamSpec
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.emg.commands.compare import compare
+from kinegraph.operators.emg.commands.train_model import emg_model
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+from kinegraph.stream.chunk import StreamSpec
 from tests.gait.test_emg_compare import run, session
 from tests.gait.test_emg_mixtures_live import bursts
 from tests.support.emg_run import contacts, drive, stamps

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import firwin, group_delay, kaiserord, sos2tf
 
-from operators.emg.envelope import causal_lowpass
-from operators.emg.zero_phase import antialias_phases
+from kinegraph.operators.emg.envelope import causal_lowpass
+from kinegraph.operators.emg.zero_phase import antialias_phases
 
 
 @pytest.mark.parametrize(("order", "cutoff_hz", "rate_hz"), [(4, 20.0, 120.0), (2, 6.0, 1000.0), (3, 9.0, 100.0)])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.emg.envelope import Envelope
-from stream.chunk import StreamSpec, grid
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.stream.chunk import StreamSpec, grid
 from tests.support.emg_run import drive
 
 RATE, SECONDS = 1000, 40

@@ -15,19 +15,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from devices.simulators.treadmill import Treadmill
-from devices.simulators.treadmill.both_legs import plates
-from operators.gait.cycles import Cycles
-from operators.gait.footfalls import Footfalls
-from operators.gait.gait_name import gait_name
-from operators.gait.limb_contacts import LIMB_CONTACT, LimbContacts
-from operators.gait.limb_cycles import LimbCycles, some_limbs
-from operators.gait.review import CycleReview
-from operators.gait.stages import ProtocolStage, Stages
-from operators.gait.statistics import CycleStatistics
-from operators.gait.symmetry import LimbSymmetry
-from stream.chunk import NS, StreamSpec, grid
-from stream.errors import InputError, ParameterError
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.devices.people.treadmill.both_legs import plates
+from kinegraph.operators.contacts.limb_contacts import LIMB_CONTACT, LimbContacts
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.cycles.limb_cycles import LimbCycles, some_limbs
+from kinegraph.operators.cycles.review import CycleReview
+from kinegraph.operators.cycles.stages import ProtocolStage, Stages
+from kinegraph.operators.cycles.statistics.operator import CycleStatistics
+from kinegraph.operators.cycles.statistics.symmetry import LimbSymmetry
+from kinegraph.operators.strides.footfalls import Footfalls
+from kinegraph.operators.strides.gait_name import gait_name
+from kinegraph.stream.chunk import NS, StreamSpec, grid
+from kinegraph.stream.errors import InputError, ParameterError
 from tests.support.emg_run import drive, stamps
 from tests.support.real import needs_data
 
@@ -193,7 +193,7 @@ def test_a_cycle_that_is_left_out_leaves_the_symmetry() -> None:
 
 
 def test_stages_by_protocol_annotation_and_measured_speed() -> None:
-    from operators.gait.cycle import CLOSED
+    from kinegraph.operators.cycles.cycle import CLOSED
 
     onset = NS + np.arange(30) * NS
     rows = np.zeros(30, CLOSED)

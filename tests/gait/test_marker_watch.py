@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from bench.emg_session import drive
-from operators.gait.marker_watch import MarkerWatch
-from stream.chunk import NS, Samples, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import grid
+from kinegraph.operators.monitors.marker_watch import MarkerWatch
+from kinegraph.stream.chunk import NS, Samples, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.support.real import needs_data
 
 NAMES = ("LHIP", "LKNE", "LANK", "LTOE", "RHIP", "RKNE", "RANK", "RTOE")
@@ -37,7 +37,7 @@ def alarms(path: Samples, /, **parameters: Any) -> list[tuple[float, str, str, s
 
 
 def walk(seconds: float = 12.0) -> Samples:
-    from devices.simulators.walkway import Walkway, WalkwayTrial
+    from kinegraph.devices.people.walkway import Walkway, WalkwayTrial
 
     return WalkwayTrial(Walkway()).markers(np.arange(0, round(seconds * 1000), 10))
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from operators.emg.mixture_kernel import nearest_on_cycle, wrapped
+from kinegraph.operators.emg.mixtures.kernel import nearest_on_cycle, wrapped
 
 PLACES = [0.0, 99.99999999999999, 100.0, 100.00000000000001, 250.0, -0.5, -100.0, -250.25, -1e-12, -1e-15, -1e-20]
 

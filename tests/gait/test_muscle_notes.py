@@ -7,12 +7,12 @@ import io
 import pytest
 from rich.console import Console
 
-from devices.outlets.cycle_table import CycleTable, cycle_table
-from operators.emg.mixtures import PeakMixtures
-from operators.gait.cycle_targets import CycleTargets, TargetBand
-from operators.gait.statistics import CycleStatistics
-from stream.chunk import Chunk
-from stream.errors import InputError
+from kinegraph.devices.outlets.terminal.cycle_table import CycleTable, cycle_table
+from kinegraph.operators.cycles.statistics.cycle_targets import CycleTargets, TargetBand
+from kinegraph.operators.cycles.statistics.operator import CycleStatistics
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.errors import InputError
 from tests.gait.test_emg_drift import drifted, moved
 from tests.gait.test_emg_mixtures_live import bursts
 from tests.support.emg_run import drive

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.gait.cycle import some_cycles
-from operators.gait.norm_file import NormError, read_bands
-from operators.gait.norms import NormativeBands
-from stream.errors import ParameterError
-from stream.recording import Recording
+from kinegraph.operators.cycles.cycle import some_cycles
+from kinegraph.operators.cycles.statistics.norm_file import NormError, read_bands
+from kinegraph.operators.cycles.statistics.norms import NormativeBands
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import KINEGRAPH
 from tests.support.emg_run import drive
 
@@ -98,18 +98,18 @@ def test_a_cycle_within_its_band_is_furthest_from_it_nowhere(tmp_path: Path) -> 
 
 GRAPH = """
 nodes:
-  treadmill: {use: devices.simulators.treadmill.Treadmill, muscles: [TA, SO], realtime: false, duration_s: 16}
+  treadmill: {use: devices.people.treadmill.Treadmill, muscles: [TA, SO], realtime: false, duration_s: 16}
   envelope: {use: operators.emg.Envelope, from: treadmill.emg}
   cycles:
-    use: operators.gait.cycles.Cycles
+    use: operators.cycles.cycles.Cycles
     from: {signal: envelope, touchdown: treadmill.touchdown, liftoff: treadmill.liftoff}
-  statistics: {use: operators.gait.statistics.CycleStatistics, from: {closed: cycles.closed, cycles: cycles.cycles}}
-  norms: {use: operators.gait.norms.NormativeBands, from: {closed: cycles.closed, cycles: cycles.cycles}, file: bands.csv}
+  statistics: {use: operators.cycles.statistics.CycleStatistics, from: {closed: cycles.closed, cycles: cycles.cycles}}
+  norms: {use: operators.cycles.statistics.norms.NormativeBands, from: {closed: cycles.closed, cycles: cycles.cycles}, file: bands.csv}
   screen:
-    use: devices.outlets.cycle_table.CycleTable
+    use: devices.outlets.terminal.cycle_table.CycleTable
     from: {closed: cycles.closed, statistics: statistics, norms: norms.against}
   report:
-    use: devices.outlets.report.SessionReport
+    use: devices.reports.session.SessionReport
     from: {closed: cycles.closed, cycles: cycles.cycles, statistics: statistics, low: norms.low, high: norms.high}
     path: r.html
 record: [norms.against, norms.low, norms.high, cycles.cycles]

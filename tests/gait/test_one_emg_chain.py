@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from operators.channels import Select
-from operators.emg.envelope import Envelope
-from stream.graph import Graph, Node
-from stream.graph.load import load
-from stream.source import Source
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.operators.filters.channels import Select
+from kinegraph.stream.graph import Graph, Node
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.source import Source
 
 CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
 WITH_EMG = [path for path in CONFIGS if "operators.emg.Envelope" in path.read_text(encoding="utf-8")]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from operators.emg.one_kind import refuse_mixed
-from stream.chunk import StreamSpec
-from stream.errors import InputError
+from kinegraph.operators.emg.one_kind import refuse_mixed
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError
 
 
 def test_two_channels_of_two_kinds_are_refused_and_of_one_are_not() -> None:

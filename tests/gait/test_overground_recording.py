@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import structlog
 
-from stream import cli
-from stream.chunk import NS
-from stream.recording import Recording
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.recording import Recording
 from tests.support.real import DATA_MARKS
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "overground_emg.yaml"

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.emg.quality import SignalQuality
-from operators.gait.pattern_watch import PatternWatch
-from operators.gait.review import CycleReview
-from operators.gait.timing_watch import TimingWatch
-from stream.chunk import NS
+from kinegraph.operators.cycles.review import CycleReview
+from kinegraph.operators.emg.quality import SignalQuality
+from kinegraph.operators.monitors.pattern_watch import PatternWatch
+from kinegraph.operators.monitors.timing_watch import TimingWatch
+from kinegraph.stream.chunk import NS
 from tests.support.emg_run import drive
 from tests.support.steep_walk import cut, steep_walk
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.gait.commands.pulses import read_pulses
-from stream.chunk import StreamSpec, grid
-from stream.errors import KinegraphError
-from stream.recording.series import Series, write_recording
+from kinegraph.operators.contacts.commands.pulses import read_pulses
+from kinegraph.stream.chunk import StreamSpec, grid
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.recording.series import Series, write_recording
 
 LEVEL = np.array([0.0, 0.0, 1.0, 4.0, 4.0, 1.0, 0.0, 0.5, 2.0, 3.0, 0.0, 0.0, 4.0])
 

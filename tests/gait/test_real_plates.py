@@ -9,8 +9,8 @@ import ezc3d
 import numpy as np
 import pytest
 
-from operators.gait.limb_contacts import LimbContacts
-from stream.chunk import NS, StreamSpec
+from kinegraph.operators.contacts.limb_contacts import LimbContacts
+from kinegraph.stream.chunk import NS, StreamSpec
 from tests.support.emg_run import drive, stamps
 from tests.support.real import DATA_MARKS
 

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.outlets.report.compose import compose
-from devices.outlets.report.cycle_store import circular
-from devices.outlets.report.data import Grid, Report
-from devices.outlets.report.grids import _bursts
-from devices.outlets.report.groups import Groups
-from devices.outlets.report.page import render
-from devices.outlets.report.tally import Tally, hear, nothing_yet
-from operators.emg.median_frequency import MedianFrequency
-from operators.gait.bursts import CycleBursts
-from stream.chunk import NS, Chunk, Specs, StreamSpec
-from stream.manual import ANNOTATION
+from kinegraph.devices.reports.session.compose import compose
+from kinegraph.devices.reports.session.contents.cycle_store import circular
+from kinegraph.devices.reports.session.contents.data import Grid, Report
+from kinegraph.devices.reports.session.contents.grids import _bursts
+from kinegraph.devices.reports.session.contents.groups import Groups
+from kinegraph.devices.reports.session.contents.tally import Tally, hear, nothing_yet
+from kinegraph.devices.reports.session.page import render
+from kinegraph.operators.cycles.statistics.bursts import CycleBursts
+from kinegraph.operators.cycles.statistics.median_frequency import MedianFrequency
+from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
+from kinegraph.stream.manual import ANNOTATION
 from tests.support.emg_run import drive
 from tests.support.steep_walk import cut, steep_walk
 

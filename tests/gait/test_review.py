@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.simulators.treadmill import Treadmill
-from devices.simulators.treadmill.faults import Fault, Faults
-from operators.emg.quality import SignalQuality
-from operators.gait.cycles import Cycles
-from operators.gait.ensemble import CycleEnsemble
-from operators.gait.review import CycleReview
-from operators.gait.statistics import CycleStatistics
-from operators.gait.verdicts import WINDOWS, Windows
-from stream.chunk import NS, StreamSpec
-from stream.engine.replay import Replay
-from stream.engine.session import Session
-from stream.errors import ParameterError
-from stream.graph.load import load
-from stream.recording import Recording
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.devices.people.treadmill.faults import Fault, Faults
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.cycles.review import CycleReview
+from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
+from kinegraph.operators.cycles.statistics.operator import CycleStatistics
+from kinegraph.operators.cycles.verdicts import WINDOWS, Windows
+from kinegraph.operators.emg.quality import SignalQuality
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.engine.replay import Replay
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.recording import Recording
 from tests.support.emg_run import contacts, drive, enveloped, stamps
 
 MUSCLES = ("TA", "SO")

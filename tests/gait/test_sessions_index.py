@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.gait.pulse_match import match_pulses
-from stream.errors import KinegraphError
+from kinegraph.operators.contacts.pulse_match import match_pulses
+from kinegraph.stream.errors import KinegraphError
 
 
 def kinegraph(*arguments: str | Path, code: int = 0) -> str:

@@ -7,13 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from operators.emg.amplitude_reference import AmplitudeReference
-from operators.emg.quality import SignalQuality
-from operators.gait.cycles import Cycles
-from operators.gait.ensemble import CycleEnsemble
-from operators.gait.marker import MarkerContacts
-from stream.chunk import StreamSpec
-from stream.errors import InputError, ParameterError
+from kinegraph.operators.contacts.marker import MarkerContacts
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
+from kinegraph.operators.emg.amplitude_reference import AmplitudeReference
+from kinegraph.operators.emg.quality import SignalQuality
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
 from tests.support.emg_run import drive, enveloped, recording, stamps, treadmill
 from tests.support.real import needs_data
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.gait.cycle import some_cycles
-from operators.gait.stage_curves import StageCurves
-from stream.errors import InputError
+from kinegraph.operators.cycles.cycle import some_cycles
+from kinegraph.operators.cycles.statistics.stage_curves import StageCurves
+from kinegraph.stream.errors import InputError
 from tests.support.emg_run import drive
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.steps.activity import StepActivity
-from operators.steps.steps import Steps, some_walk
-from stream.chunk import NS, Chunk
-from stream.errors import InputError
-from stream.operator import grid
+from kinegraph.operators.steps.activity import StepActivity
+from kinegraph.operators.steps.steps import Steps, some_walk
+from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import grid
 from tests.gait.test_step_biometrics import CHANNELS, UNITS, StreamSpec, walk
 from tests.support.emg_run import drive
 from tests.support.real import needs_data

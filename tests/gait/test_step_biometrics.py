@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from devices.outlets.step_panel import StepPanel, panel
-from devices.simulators.mti import MtiModel, SimulatedMti
-from devices.simulators.walking_back import MANNERS, Back
-from operators.steps.classifier import SHIPPED, StepClassifier
-from operators.steps.forest import StepModel
-from operators.steps.steps import Steps
-from stream import cli
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.operator import grid
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.mti.simulator import MtiModel, SimulatedMti
+from kinegraph.devices.outlets.terminal.step_panel import StepPanel, panel
+from kinegraph.devices.people.walking_back import MANNERS, Back
+from kinegraph.operators.steps.classifier import SHIPPED, StepClassifier
+from kinegraph.operators.steps.forest import StepModel
+from kinegraph.operators.steps.steps import Steps
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "step_biometrics.yaml"
 CHANNELS, UNITS = ("ax", "ay", "az", "gx", "gy", "gz"), ("m/s2",) * 3 + ("rad/s",) * 3

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from operators.steps.classifier import SOME, StepClassifier, settles_after, some_model, wilson
-from operators.steps.commands.enrolment import enrolment
-from operators.steps.commands.recordings import grouped
-from operators.steps.commands.train import steps as train_steps
-from operators.steps.commands.validation import (
+from kinegraph.operators.steps.classifier import SOME, StepClassifier, settles_after, some_model, wilson
+from kinegraph.operators.steps.commands.enrolment import enrolment
+from kinegraph.operators.steps.commands.recordings import grouped
+from kinegraph.operators.steps.commands.train import steps as train_steps
+from kinegraph.operators.steps.commands.validation import (
     Labelled,
     Trust,
     _thinned,
@@ -22,13 +22,13 @@ from operators.steps.commands.validation import (
     uncertain_below,
     weights,
 )
-from operators.steps.forest import Forest, StepModel
-from operators.steps.step_kernel import chosen, describe, feature_names
-from operators.steps.steps import Steps, some_walk
-from stream.chunk import NS, Chunk
-from stream.errors import InputError, KinegraphError, ParameterError
-from stream.model import ModelError
-from stream.recording.series import Series, write_recording
+from kinegraph.operators.steps.forest import Forest, StepModel
+from kinegraph.operators.steps.step_kernel import chosen, describe, feature_names
+from kinegraph.operators.steps.steps import Steps, some_walk
+from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.data.model_file import ModelError
+from kinegraph.stream.errors import InputError, KinegraphError, ParameterError
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.emg_run import drive
 
 sklearn = pytest.importorskip("sklearn", reason="scikit-learn is not installed")

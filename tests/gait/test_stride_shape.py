@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.gait.limb_contacts import LIMB_CONTACT, LimbContacts
-from operators.gait.stride_shape import StrideShape
-from stream.chunk import NS, StreamSpec, grid
-from stream.errors import InputError, ParameterError
+from kinegraph.operators.contacts.limb_contacts import LIMB_CONTACT, LimbContacts
+from kinegraph.operators.strides.stride_shape import StrideShape
+from kinegraph.stream.chunk import NS, StreamSpec, grid
+from kinegraph.stream.errors import InputError, ParameterError
 from tests.support.emg_run import drive
 from tests.support.real import needs_data
 

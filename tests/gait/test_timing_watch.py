@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.gait.cycle import POINTS
-from operators.gait.textbook import muscle_called, side_called, textbook_pattern
-from operators.gait.timing_watch import TimingWatch, lags_pct
-from stream.chunk import Array, StreamSpec
-from stream.errors import ParameterError
+from kinegraph.operators.cycles.cycle import POINTS
+from kinegraph.operators.monitors.reference_patterns import muscle_called, side_called, textbook_pattern
+from kinegraph.operators.monitors.timing_watch import TimingWatch, lags_pct
+from kinegraph.stream.chunk import Array, StreamSpec
+from kinegraph.stream.errors import ParameterError
 from tests.gait.test_bursts import cycles_of
 from tests.support.emg_run import drive
 

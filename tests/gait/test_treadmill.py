@@ -9,13 +9,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from devices.simulators.treadmill import Treadmill, truth
-from devices.simulators.treadmill.faults import Fault
-from devices.simulators.treadmill.signal import BURSTS, Signal, Walker
-from devices.simulators.treadmill.source import BeltSpeed
-from stream.chunk import NS, Chunk
-from stream.errors import ParameterError
-from stream.params import build
+from kinegraph.devices.people.treadmill import Treadmill, truth
+from kinegraph.devices.people.treadmill.faults import Fault
+from kinegraph.devices.people.treadmill.signal import BURSTS, Signal, Walker
+from kinegraph.devices.people.treadmill.source import BeltSpeed
+from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.params import build
 
 START = 1_767_225_600 * NS  # 2026-01-01T00:00:00Z
 WALK = Treadmill(realtime=False, start="2026-01-01T00:00:00Z", duration_s=12.0, seed=3)

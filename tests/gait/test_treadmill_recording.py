@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.recording import Recording
+from kinegraph.stream.recording import Recording
 from tests.gait import naive_emg
 from tests.support.emg_run import recording
 from tests.support.real import real_file

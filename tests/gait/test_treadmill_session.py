@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.simulators.treadmill import Treadmill, truth
-from stream.engine.replay import Replay
-from stream.graph.load import load
-from stream.graph.plan import plan
-from stream.recording import Recording
+from kinegraph.devices.people.treadmill import Treadmill, truth
+from kinegraph.stream.engine.replay import Replay
+from kinegraph.stream.graph.plan import plan
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.recording import Recording
 
 pytestmark = pytest.mark.xdist_group("treadmill session")  # one process runs it, once
 
@@ -108,7 +108,7 @@ def test_a_replay_names_whose_recording_it_is(tmp_path: Path) -> None:
         assert ("holds no facts about its session" in told) == (name == "nameless")
         assert ("side right (--set session.NAME=VALUE overrides one)" in told) == (name == "named")
         assert f"Recording <b>{name}.mcap (from walk.csv, steps.csv)</b>" in page.read_text()
-        assert f"{name}.mcap, in place of devices.simulators.treadmill.Treadmill" in page.read_text()
+        assert f"{name}.mcap, in place of devices.people.treadmill.Treadmill" in page.read_text()
         assert "cadence_per_min: 57" not in page.read_text()
 
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from devices.outlets.report.compose import compose
-from devices.outlets.report.tally import hear, nothing_yet, numbers
-from operators.emg.median_frequency import MedianFrequency
-from operators.gait.bursts import CycleBursts
-from operators.gait.cycle import CLOSED_UNITS, POINTS
-from operators.gait.ensemble import CycleEnsemble
-from operators.gait.limb_cycles import LIMB_CLOSED
-from operators.gait.statistics import CycleStatistics
-from operators.gait.symmetry import LimbSymmetry
-from stream.chunk import NS, Chunk, StreamSpec, grid
+from kinegraph.devices.reports.session.compose import compose
+from kinegraph.devices.reports.session.contents.tally import hear, nothing_yet, numbers
+from kinegraph.operators.cycles.cycle import CLOSED_UNITS, POINTS
+from kinegraph.operators.cycles.limb_cycles import LIMB_CLOSED
+from kinegraph.operators.cycles.statistics.bursts import CycleBursts
+from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
+from kinegraph.operators.cycles.statistics.median_frequency import MedianFrequency
+from kinegraph.operators.cycles.statistics.operator import CycleStatistics
+from kinegraph.operators.cycles.statistics.symmetry import LimbSymmetry
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, grid
 from tests.support.emg_run import drive
 
 COUNT = 400

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.gait.bursts import CycleBursts
-from operators.gait.contact_spans import changed_at
-from operators.gait.ensemble import CycleEnsemble
-from operators.gait.limb_watch import LimbWatch
-from operators.gait.review import CycleReview
-from operators.gait.timing_watch import TimingWatch
-from stream.chunk import NS, StreamSpec
+from kinegraph.operators.cycles.contact_spans import changed_at
+from kinegraph.operators.cycles.review import CycleReview
+from kinegraph.operators.cycles.statistics.bursts import CycleBursts
+from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
+from kinegraph.operators.monitors.limb_watch import LimbWatch
+from kinegraph.operators.monitors.timing_watch import TimingWatch
+from kinegraph.stream.chunk import NS, StreamSpec
 from tests.support.emg_run import drive
 from tests.support.steep_walk import cut, late, limb_contacts, steep_walk, swapped
 

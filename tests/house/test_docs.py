@@ -18,8 +18,8 @@ from pathlib import Path
 
 import pytest
 
-from stream.graph import NodeOptions, RecordingOptions
-from stream.graph.load import SECTIONS, Settings, load_text
+from kinegraph.stream.graph import NodeOptions, RecordingOptions
+from kinegraph.stream.graph.reading.load import SECTIONS, Settings, load_text
 
 HOUSE = Path(__file__).resolve().parents[2]
 PAGES = sorted([*HOUSE.glob("*.md"), *(HOUSE / "docs").rglob("*.md")])

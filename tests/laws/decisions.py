@@ -10,12 +10,12 @@ from unittest.mock import patch
 
 import numpy as np
 
-from operators.alarm import OVER
-from stream.chunk import FOREVER, NS, Chunk, Samples, Times
-from stream.engine.session import Session
-from stream.graph import Graph
-from stream.operator import Emitted, Operator
-from stream.source import Source
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, Samples, Times
+from kinegraph.stream.domain.alarm import OVER
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph import Graph
+from kinegraph.stream.operator import Emitted, Operator
+from kinegraph.stream.source import Source
 
 Late = dict[tuple[str, str], list[float]]
 """By node and output: of each event, how much newer (s) its operator's newest input was than the event's `end`, else its `onset`."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.pause import Pause
-from operators.rectify import Rectify
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.conformance.case_samples import CaseSamples, _missing
-from stream.conformance.cut import describe
-from stream.conformance.play import row_of
+from kinegraph.operators.filters.rectify import Rectify
+from kinegraph.operators.timing.pause import Pause
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.laws.case_samples import CaseSamples, _missing
+from kinegraph.stream.laws.chunking import describe
+from kinegraph.stream.laws.play import row_of
 
 
 def pieces(sizes: list[int], lost: int = 0) -> list[tuple[str, Chunk]]:

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream.chunk import FOREVER, NS, Chunk
-from stream.graph import Edge, Graph
-from stream.graph.load import load
-from stream.graph.overrides import read
-from stream.graph.parts import catalogue
-from stream.graph.plan import plan
-from stream.operator import Case, Operator
-from stream.outlet import Outlet
+from kinegraph.stream.chunk import FOREVER, NS, Chunk
+from kinegraph.stream.graph import Edge, Graph
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.graph.plan import plan
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.graph.reading.overrides import read
+from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.outlet import Outlet
 from tests.laws.decisions import lateness, measured
 from tests.support.command_line import Command
 

@@ -1,4 +1,4 @@
-"""The seven laws of DESIGN, held by every operator of ours, found without a list; see stream/conformance for what each rule says.
+"""The seven laws of DESIGN, held by every operator of ours, found without a list; see stream/laws for what each rule says.
 
 `KINEGRAPH_EXAMPLES=200 pytest tests/laws/test_laws.py -k Envelope` tries harder.
 """
@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stream.conformance import Conformance, checks, trials
-from stream.graph.parts import catalogue
-from stream.operator import Operator
-from stream.outlet import Outlet
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.laws import Conformance, checks, trials
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.outlet import Outlet
 
 EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 12
 

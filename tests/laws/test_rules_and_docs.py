@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from stream.conformance.broken import RULES
+from kinegraph.stream.laws.violations import RULES
 from tests.public_names import HOUSE
 
 

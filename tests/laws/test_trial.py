@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.emg.envelope import Envelope
-from operators.iir import Highpass, Lowpass, Notch
-from operators.moving import MovingMean
-from operators.rectify import Rectify
-from stream.chunk import FOREVER, NEVER, Chunk, Specs, StreamSpec
-from stream.conformance import RULES, Broken, Choices, Conformance, checks, lags, smallest, trials
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.operators.filters.iir import Highpass, Lowpass, Notch
+from kinegraph.operators.filters.moving import MovingMean
+from kinegraph.operators.filters.rectify import Rectify
+from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, Specs, StreamSpec
+from kinegraph.stream.laws import RULES, Broken, Choices, Conformance, checks, lags, smallest, trials
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 from tests.laws.broken_operators import Excused, Sound, all_broken
 
 SEEDS = range(30)

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stream.chunk import Chunk, StreamSpec
-from stream.operator import Case, Operator, grid
-from stream.params import param
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,11 @@ class Gain(Operator[None]):
 
 def attempt(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "stream", "try", *arguments], cwd=folder, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "kinegraph.stream", "try", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -94,7 +98,7 @@ def test_a_broken_one_is_told_which_law_where_and_what_to_do(tmp_path: Path) -> 
     ("use", "complaint"),
     [
         ("my_ops.Gian", "did you mean 'Gain'?"),
-        ("devices.simulators.treadmill.Treadmill", "the laws are for operators and outlets"),
+        ("devices.people.treadmill.Treadmill", "the laws are for operators and outlets"),
     ],
 )
 def test_what_is_no_operator_is_refused(tmp_path: Path, use: str, complaint: str) -> None:

@@ -102,7 +102,7 @@ class Held:
 
 
 class Reference:
-    """Feed `run` a recording (n, features); `frames` are the parameters in frames, named as in operators/segmentation/layout.py.
+    """Feed `run` a recording (n, features); `frames` are the parameters in frames, named as in operators/segmentation/kernels/layout.py.
 
     mirrored, firsts  the mirror images (n, features), if there are any, and which features are the first of a pair
     """

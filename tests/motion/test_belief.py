@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bench.motion import kinect, poses
-from operators.features.stack import Stack
-from operators.segmentation import Segment
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation import Segment
 from tests.motion.test_segmentation import QUICK, believed_late, motion, played
 from tests.motion.test_segmentation import gestures as from_rest
 from tests.support.real import needs_data

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from operators.features.bundle import Bundle
-from operators.features.eigen import symmetric_eigen
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.features.bundle import Bundle
+from kinegraph.operators.features.eigen import symmetric_eigen
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 
 def by_hand(x, k, ahead, window, variance=0.975):

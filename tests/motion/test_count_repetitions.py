@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.segmentation.evaluation.found import read_found
-from stream import cli
+from kinegraph.operators.segmentation.evaluation.found import read_found
+from kinegraph.stream.cli import main as cli
 from tests.support.real import needs_data
 
 COUNTER = Path(__file__).resolve().parents[2] / "configs" / "count_repetitions.yaml"

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from operators.segmentation.evaluation.found import ACTIVITY, Found, _events, merged, read_found, second_steps
-from operators.segmentation.evaluation.picture import NEAREST, _matrix, distances
-from operators.segmentation.evaluation.scores import boundary_f1, covering, intervals, score
-from operators.segmentation.evaluation.truth import Truth, read_truth
-from stream import cli
-from stream.chunk import NS, StreamSpec
-from stream.errors import KinegraphError
-from stream.operator import grid
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.operators.segmentation.evaluation.found import ACTIVITY, Found, _events, merged, read_found, second_steps
+from kinegraph.operators.segmentation.evaluation.picture import NEAREST, _matrix, distances
+from kinegraph.operators.segmentation.evaluation.scores import boundary_f1, covering, intervals, score
+from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.real import needs_data
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))

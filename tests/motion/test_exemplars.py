@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.segmentation import Segment
-from operators.segmentation.clusters import fit, keep, recognise
-from operators.segmentation.distances import insert
-from operators.segmentation.exemplars import candidates, copied
-from operators.segmentation.layout import (
+from kinegraph.operators.segmentation import Segment
+from kinegraph.operators.segmentation.kernels.clusters import fit, keep, recognise
+from kinegraph.operators.segmentation.kernels.distances import insert
+from kinegraph.operators.segmentation.kernels.exemplars import candidates, copied
+from kinegraph.operators.segmentation.kernels.layout import (
     LAG,
     LONGEST_EXEMPLARS,
     MOST_CLUSTERS,

@@ -10,14 +10,14 @@ import pytest
 from rich.console import Console
 from rich.file_proxy import FileProxy
 
-from devices.outlets.exercise_panel import FIELDS, ExercisePanel, ring
-from devices.outlets.exercise_screen import panel
-from devices.outlets.terminal import LineView
-from stream.chunk import Chunk
-from stream.commands.run import _screen
-from stream.errors import InputError
-from stream.graph import Graph
-from stream.state import pack, unpack
+from kinegraph.devices.outlets.terminal.exercise_panel import FIELDS, ExercisePanel, ring
+from kinegraph.devices.outlets.terminal.exercise_screen import panel
+from kinegraph.devices.outlets.terminal.view import LineView
+from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.cli.commands.run import _screen
+from kinegraph.stream.data.state import pack, unpack
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.graph import Graph
 from tests.support.exercise_events import EVENTS, event, training
 
 
@@ -131,7 +131,7 @@ def test_the_panel_goes_on_from_a_snapshot_and_takes_any_stream_with_its_fields(
 
 def test_the_bell_rings_once_for_every_new_repetition(monkeypatch: pytest.MonkeyPatch) -> None:
     rung: list[int] = []
-    monkeypatch.setattr("devices.outlets.exercise_panel.ring", lambda: rung.append(1))
+    monkeypatch.setattr("kinegraph.devices.outlets.terminal.exercise_panel.ring", lambda: rung.append(1))
     outlet = opened(bell=True)
     for port, chunk in training():
         outlet.process(port, chunk)
@@ -141,7 +141,7 @@ def test_the_bell_rings_once_for_every_new_repetition(monkeypatch: pytest.Monkey
 def test_the_bell_rings_for_each_of_two_repetitions_that_are_counted_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first one is believed with the second, and both come in one chunk; so do the first of the next exercise."""
     rung: list[int] = []
-    monkeypatch.setattr("devices.outlets.exercise_panel.ring", lambda: rung.append(1))
+    monkeypatch.setattr("kinegraph.devices.outlets.terminal.exercise_panel.ring", lambda: rung.append(1))
     outlet = opened(bell=True)
     for activity, counts in ((1, (1, 2)), (1, (3, 4, 5)), (2, (1, 2)), (2, (1,))):
         told = [event("count", 5, activity=activity, count=k) for k in counts]

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.segmentation.commands.teach import _cut
-from operators.segmentation.naming import TURNS, NameRepetitions, letters
-from operators.segmentation.outputs import PRIMITIVE
-from operators.segmentation.taught import UNKNOWN, Taught, taught
-from stream import cli
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.errors import InputError, KinegraphError
-from stream.manual import ANNOTATION
-from stream.model import ModelError
-from stream.operator import grid
+from kinegraph.operators.segmentation.commands.teach import _cut
+from kinegraph.operators.segmentation.names.naming import TURNS, NameRepetitions, letters
+from kinegraph.operators.segmentation.names.taught import UNKNOWN, Taught, taught
+from kinegraph.operators.segmentation.outputs import PRIMITIVE
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.data.model_file import ModelError
+from kinegraph.stream.errors import InputError, KinegraphError
+from kinegraph.stream.manual import ANNOTATION
+from kinegraph.stream.operator import grid
 from tests.support.exercise_events import EVENTS
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -277,8 +277,8 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Three exercises are shown by one simulated person, and done by another; the fourth was never shown."""
-    from devices.simulators.exerciser import EXERCISES, Exerciser, Routine
-    from stream.recording import Recording
+    from kinegraph.devices.people.exerciser import EXERCISES, Exerciser, Routine
+    from kinegraph.stream.recording import Recording
 
     def session(name: str, seed: int, *more: object) -> Path:
         fast = ("--set", "mocap.realtime=false", "--set", "mocap.duration_s=50", "--set", f"mocap.seed={seed}")
@@ -321,7 +321,7 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
 
 
 def test_taught_by_what_was_said_a_name_is_of_what_was_under_way_or_nearer() -> None:
-    from operators.segmentation.commands.teach import _meant
+    from kinegraph.operators.segmentation.commands.teach import _meant
 
     told = np.zeros(6, PRIMITIVE)
     told["onset"] = np.array([0, 2, 4, 12, 14, 16]) * NS

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stream.chunk import Array, Samples, StreamSpec, grid
-from stream.motion_graph import TRANSITION, MotionGraph
-from stream.recording.series import Series, write_recording
+from kinegraph.stream.chunk import Array, Samples, StreamSpec, grid
+from kinegraph.stream.domain.motion_graph import TRANSITION, MotionGraph
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.command_line import Command, kinegraph
 from tests.support.motion_made import RATE, TREE, bend, bent
 from tests.support.real import DATA_MARKS
@@ -20,7 +20,7 @@ pytestmark = DATA_MARKS
 JOINTS = ("LeftUpperArm", "RightUpperArm", "LeftUpperLeg", "RightUpperLeg")
 CUT = """
 nodes:
-  trial: {use: devices.files.RecordedStreams, path: trial.mcap, of: trial, speed: 0}
+  trial: {use: devices.recorded.RecordedStreams, path: trial.mcap, of: trial, speed: 0}
   stack: {use: operators.features.stack.Stack, from: trial.angles}
   segment: {use: operators.segmentation.Segment, from: stack}
 record: [trial.pose, segment.primitive, segment.merge]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.motion_graph.build import Nodes, find_edges, strongest
-from operators.motion_graph.growing import EDGE, NODE, GrowingGraph
-from stream.chunk import FOREVER, Array, Chunk, Samples, StreamSpec, grid
-from stream.errors import KinegraphError
-from stream.humanoid import BONES
-from stream.joint_tree import joints_of
-from stream.rows import taking
+from kinegraph.operators.maps.motion_graph.build import Nodes, find_edges, strongest
+from kinegraph.operators.maps.motion_graph.growing import EDGE, NODE, GrowingGraph
+from kinegraph.stream.chunk import FOREVER, Array, Chunk, Samples, StreamSpec, grid
+from kinegraph.stream.data.rows import taking
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.errors import KinegraphError
 from tests.support.motion_made import CYCLE, RATE, TREE, walking, waving
 
 SPEC = StreamSpec((len(BONES), 3), rate_hz=RATE, channels=BONES, units=("m",))

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from operators.features.mirror import Mirror
-from operators.features.pose import Pose
-from operators.features.stack import Stack
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.errors import ParameterError
-from stream.operator import grid
+from kinegraph.operators.features.mirror import Mirror
+from kinegraph.operators.features.pose import Pose
+from kinegraph.operators.features.stack import Stack
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import grid
 
 ANGLES = StreamSpec((5,), rate_hz=30.0, channels=("arm_l.x", "arm_l.z", "arm_r.x", "arm_r.z", "head.z"), units=("deg",))
 

@@ -13,23 +13,23 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from devices.synthesis.aims import Aim
-from devices.synthesis.source import NODE, Synthesis
-from devices.synthesis.walker import LEGS, GraphWalk
-from devices.synthesis.way_search import MOST, WaySearch
-from operators.features.stack import Stack
-from operators.motion_graph.build import Nodes, build_graph, find_edges
-from operators.motion_graph.clouds import cloud_distance, placement
-from operators.motion_graph.commands.train import name_clusters, read_shown
-from operators.motion_graph.measures import measure, travel_s
-from operators.motion_graph.primitives import spans_of
-from operators.motion_graph.takes import Take, mirrored_poses, pieces, standing
-from stream.chunk import NS, Array, Samples
-from stream.errors import KinegraphError, ParameterError
-from stream.joint_tree import joints_of
-from stream.model import ModelError, read_model, write_model
-from stream.motion_graph import KIND, MotionGraph
-from stream.recording import Recording
+from kinegraph.devices.synthesis.aims import Aim
+from kinegraph.devices.synthesis.source import NODE, Synthesis
+from kinegraph.devices.synthesis.walker import LEGS, GraphWalk
+from kinegraph.devices.synthesis.way_search import MOST, WaySearch
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.maps.motion_graph.build import Nodes, build_graph, find_edges
+from kinegraph.operators.maps.motion_graph.clouds import cloud_distance, placement
+from kinegraph.operators.maps.motion_graph.commands.train import name_clusters, read_shown
+from kinegraph.operators.maps.motion_graph.measures import measure, travel_s
+from kinegraph.operators.maps.motion_graph.primitives import spans_of
+from kinegraph.operators.maps.motion_graph.takes import Take, mirrored_poses, pieces, standing
+from kinegraph.stream.chunk import NS, Array, Samples
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.domain.motion_graph import KIND, MotionGraph
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.errors import KinegraphError, ParameterError
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command, kinegraph, refused
 from tests.support.heard import Heard
 from tests.support.motion_made import CYCLE, RATE, TREE, recorded, take, walking, waving
@@ -139,7 +139,7 @@ def test_the_core_is_strongly_connected_and_the_rest_is_named(graph: MotionGraph
 def test_the_reach_is_of_ways_to_other_clusters(graph: MotionGraph, monkeypatch: pytest.MonkeyPatch) -> None:
     seconds = np.random.default_rng(5).exponential(size=(len(graph.first), len(graph.names)))
     seconds[::7] = np.inf
-    monkeypatch.setattr("operators.motion_graph.measures.travel_s", lambda _: seconds)
+    monkeypatch.setattr("kinegraph.operators.maps.motion_graph.measures.travel_s", lambda _: seconds)
     there = set(graph.cluster[graph.core].tolist())
     ways = [
         seconds[k, c]
@@ -362,7 +362,7 @@ def test_a_target_out_of_reach_ends_the_walk_and_says_so(tmp_path: Path) -> None
 def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph: Command) -> None:
     """The whole way, by commands: a recorded pose, its graph, a walk on it, out by VMC and as BVH; the replay is the same."""
     Path("someone.yaml").write_text(
-        "nodes:\n  someone: {use: devices.simulators.performer.Performer, realtime: false, duration_s: 40}\nrecord: [someone.pose]\n"
+        "nodes:\n  someone: {use: devices.people.performer.Performer, realtime: false, duration_s: 40}\nrecord: [someone.pose]\n"
     )
     assert kinegraph("run", "someone.yaml", "--view", "none", "-o", "someone")[0] == 0
     told = kinegraph("train", "graph", "someone", "-o", "graph.npz")
@@ -373,16 +373,16 @@ def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph:
         avatar.settimeout(10)
         Path("walk.yaml").write_text(
             "nodes:\n"
-            "  walk: {use: devices.synthesis.source.Synthesis, model: graph.npz, duration_s: 5, realtime: false}\n"
+            "  walk: {use: devices.synthesis.Synthesis, model: graph.npz, duration_s: 5, realtime: false}\n"
             "  file: {use: devices.outlets.bvh_file.BvhFile, from: {pose: walk.pose}, path: walk.bvh}\n"
-            f"  avatar: {{use: devices.outlets.vmc.VmcOutlet, from: {{pose: walk.pose}}, port: {avatar.getsockname()[1]}}}\n"
+            f"  avatar: {{use: devices.osc.vmc_outlet.VmcOutlet, from: {{pose: walk.pose}}, port: {avatar.getsockname()[1]}}}\n"
             "record: [walk.pose, walk.node]\n"
         )
         assert kinegraph("run", "walk.yaml", "--view", "none", "-o", "walk")[0] == 0
         assert b"/VMC/Ext/Bone/Pos" in avatar.recv(65536)
     assert "Frames:        150" in Path("walk.bvh").read_text()
     Path("alone.yaml").write_text(
-        "nodes:\n  walk: {use: devices.synthesis.source.Synthesis, model: graph.npz, duration_s: 2}\nrecord: [walk.pose]\n"
+        "nodes:\n  walk: {use: devices.synthesis.Synthesis, model: graph.npz, duration_s: 2}\nrecord: [walk.pose]\n"
     )
     assert (
         kinegraph("run", "alone.yaml", "--view", "none", "-o", "alone")[0] == 0

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.linalg import orthogonal_procrustes, subspace_angles
 
-from operators.features.normalised_pose import NormalisedPose
-from operators.motion_map import MotionMap
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.errors import InputError
-from stream.operator import grid
+from kinegraph.operators.features.normalised_pose import NormalisedPose
+from kinegraph.operators.maps.motion_map import MotionMap
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import grid
 from tests.support.real import needs_data
 
 DATA = os.environ.get("KINEGRAPH_DATA", "")

@@ -8,14 +8,14 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from operators.neighbours import Index, Neighbours, bare, layout
-from operators.neighbours.candidates import radius_squared
-from operators.neighbours.index import NeighbourError
-from operators.neighbours.layout import SEAL_FROM
-from stream import fingerprint as fingerprint_module
-from stream.chunk import Chunk, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import grid
+from kinegraph.operators.neighbours import Index, Neighbours, bare, layout
+from kinegraph.operators.neighbours.candidates import radius_squared
+from kinegraph.operators.neighbours.index import NeighbourError
+from kinegraph.operators.neighbours.layout import SEAL_FROM
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.compiler import fingerprint as fingerprint_module
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.motion.naive_neighbours import Window
 
 SEED = 20

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.features.normalised_pose import NormalisedPose
-from stream.chunk import Chunk, Samples, StreamSpec
-from stream.errors import ParameterError
-from stream.operator import grid
+from kinegraph.operators.features.normalised_pose import NormalisedPose
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import grid
 
 NAMES = ("T5", "S1L", "S1R", "poll", "hoof")
 SPEC = StreamSpec((5, 3), rate_hz=100.0, channels=NAMES, units=("mm",))

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.features.pose import Pose
-from operators.features.skeleton import SETS, partner
-from operators.inputs.lengths import metres
-from stream.chunk import Chunk, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import grid
-from stream.rows import taking
+from kinegraph.operators.features.pose import Pose
+from kinegraph.operators.features.skeleton import SETS, partner
+from kinegraph.operators.inputs.lengths import metres
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.data.rows import taking
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.support.real import needs_data
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))

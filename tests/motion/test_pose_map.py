@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.page.wire import decode
-from devices.pose_map import picture
-from operators.pose_map.commands import build
-from operators.pose_map.commands.gather import GatheredPoses, PoseReading, as_points, pieces
-from operators.pose_map.commands.marker_table import read_table
-from operators.pose_map.retrieve import ANSWER, EXAMPLE, QUERY, PoseSearch, Retrieve
-from operators.pose_map.som import PoseGrid
-from operators.pose_map.warp_kernel import warp_all
-from stream.chunk import NS, Array, Chunk, Samples, StreamSpec, grid
-from stream.errors import KinegraphError
-from stream.joint_tree import JointTree
-from stream.model import ModelError, read_model, write_model
-from stream.motion_index import KIND, MISSING, MotionIndex
+from kinegraph.devices.page.map import picture
+from kinegraph.devices.page.transfer.wire import decode
+from kinegraph.operators.maps.pose_map.commands import build
+from kinegraph.operators.maps.pose_map.commands.gather import GatheredPoses, PoseReading, as_points, pieces
+from kinegraph.operators.maps.pose_map.commands.marker_table import read_table
+from kinegraph.operators.maps.pose_map.retrieve import ANSWER, EXAMPLE, QUERY, PoseSearch, Retrieve
+from kinegraph.operators.maps.pose_map.som import PoseGrid
+from kinegraph.operators.maps.pose_map.warp_kernel import warp_all
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec, grid
+from kinegraph.stream.data.model_file import ModelError, read_model, write_model
+from kinegraph.stream.domain.pose_map import KIND, MISSING, MotionIndex
+from kinegraph.stream.domain.skeleton import JointTree
+from kinegraph.stream.errors import KinegraphError
 from tests.support.command_line import Command, kinegraph, refused
 from tests.support.horses_made import NAMES, TABLE, YAML, horse, index_of, record
 

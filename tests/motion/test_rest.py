@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from operators.features.rest import SkipRest
-from stream.chunk import Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.features.rest import SkipRest
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 RATE = 50.0
 

@@ -9,14 +9,14 @@ from structlog.testing import capture_logs
 
 from bench.motion import Series
 from bench.sensors import told_by
-from devices.simulators.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
-from operators.segmentation.evaluation.found import read_found
-from operators.segmentation.evaluation.scores import score
-from operators.segmentation.evaluation.truth import Truth, read_truth
-from stream import cli
-from stream.chunk import NS, StreamSpec
-from stream.graph.load import read_expanded
-from stream.recording import Recording
+from kinegraph.devices.people.exerciser import EXERCISES, JOINTS, Exerciser, Routine, skeleton
+from kinegraph.operators.segmentation.evaluation.found import read_found
+from kinegraph.operators.segmentation.evaluation.scores import score
+from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.graph.reading.load import read_expanded
+from kinegraph.stream.recording import Recording
 from tests.support.real import needs_data, real_file
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -31,11 +31,11 @@ def kinegraph(*arguments):
 
 SEGMENT = ["count_repetitions", "segment_emg", "segment_emg_acc", "segment_imu", "segment_kinect", "segment_mocap"]
 SHOWN_BY = {
-    "devices.outlets.exercise_panel.ExercisePanel",
-    "devices.outlets.training.TrainingReport",
-    "devices.outlets.lsl.LslOutlet",
-    "devices.outlets.mqtt.MqttOutlet",
-    "operators.segmentation.naming.NameRepetitions",
+    "devices.outlets.terminal.exercise_panel.ExercisePanel",
+    "devices.reports.training.TrainingReport",
+    "devices.lsl.LslOutlet",
+    "devices.mqtt.MqttOutlet",
+    "operators.segmentation.names.naming.NameRepetitions",
     "stream.manual.Annotations",
 }
 

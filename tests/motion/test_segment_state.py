@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from operators.segmentation.operator import Segment
-from operators.segmentation.outputs import ACTIVITY
-from operators.segmentation.state import SegmentState
-from stream.chunk import Array, StreamSpec
+from kinegraph.operators.segmentation.operator import Segment
+from kinegraph.operators.segmentation.outputs import ACTIVITY
+from kinegraph.operators.segmentation.state import SegmentState
+from kinegraph.stream.chunk import Array, StreamSpec
 
 
 @pytest.fixture

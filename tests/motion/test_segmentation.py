@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from devices.simulators.exerciser import JOINTS, Exerciser, Routine
-from devices.simulators.walking_limb import Limb
-from operators.features.mirror import Mirror
-from operators.features.pose import Pose
-from operators.features.stack import Stack
-from operators.iir import Lowpass
-from operators.resample import Resample
-from operators.segmentation import Segment
-from operators.segmentation.excursions import excursions
-from operators.segmentation.layout import NEXT
-from operators.segmentation.operator import REACH
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import Operator, grid
-from stream.rows import taking
+from kinegraph.devices.people.exerciser import JOINTS, Exerciser, Routine
+from kinegraph.devices.people.walking_limb import Limb
+from kinegraph.operators.features.mirror import Mirror
+from kinegraph.operators.features.pose import Pose
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.filters.iir import Lowpass
+from kinegraph.operators.filters.resample import Resample
+from kinegraph.operators.segmentation import Segment
+from kinegraph.operators.segmentation.kernels.excursions import excursions
+from kinegraph.operators.segmentation.kernels.layout import NEXT
+from kinegraph.operators.segmentation.operator import REACH
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.data.rows import taking
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import Operator, grid
 from tests.motion.reference import Event, Reference
 from tests.support.real import needs_data
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.segmentation.operator import Segment
-from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.segmentation.operator import Segment
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 RATE_HZ, BEFORE, AFTER = 30.0, 450, 240
 

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.segmentation.activities import anticipate, open_up
-from operators.segmentation.belief import foresee
-from operators.segmentation.cycles import advance, last_cycle, sum_up
-from operators.segmentation.distances import insert, mark
-from operators.segmentation.layout import (
+from kinegraph.operators.segmentation.kernels.activities import anticipate, open_up
+from kinegraph.operators.segmentation.kernels.cycles import advance, last_cycle, sum_up
+from kinegraph.operators.segmentation.kernels.distances import insert, mark
+from kinegraph.operators.segmentation.kernels.layout import (
     BELIEVED,
     BELIEVED_EVENT,
     BELIEVED_OF,
@@ -27,8 +26,9 @@ from operators.segmentation.layout import (
     Memory,
     allocate,
 )
-from operators.segmentation.separation import gaps
-from operators.segmentation.symmetry import AT_ONCE, IN_TURN, moves, symmetry
+from kinegraph.operators.segmentation.kernels.provisional import foresee
+from kinegraph.operators.segmentation.kernels.separation import gaps
+from kinegraph.operators.segmentation.kernels.symmetry import AT_ONCE, IN_TURN, moves, symmetry
 
 FRAMES = {
     "LAG": 30, "WINDOW": 200, "LEARN": 2, "QUIET": 4, "MASS": 6, "SETTLE": 20, "FIRM": 80, "BAND_LEAST": 3, "BAND_MOST": 3,

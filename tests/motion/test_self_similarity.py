@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.features.self_similarity import SelfSimilarity
-from stream.chunk import Array, Chunk, StreamSpec
-from stream.rows import taking
+from kinegraph.operators.features.self_similarity import SelfSimilarity
+from kinegraph.stream.chunk import Array, Chunk, StreamSpec
+from kinegraph.stream.data.rows import taking
 
 PERIOD = 10**7
 SPEC = StreamSpec((1,), rate_hz=100.0)

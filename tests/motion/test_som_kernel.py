@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.pose_map.som_kernel import nearest_cells
+from kinegraph.operators.maps.pose_map.som_kernel import nearest_cells
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from operators.features.stack import Stack
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.errors import ParameterError
-from stream.operator import grid
+from kinegraph.operators.features.stack import Stack
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import grid
 
 
 def run(operator, data, times, cuts, lost=None):

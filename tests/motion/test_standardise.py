@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from operators.features.standardise import QUARTILES, Standardise
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.features.standardise import QUARTILES, Standardise
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 
 def standardised(data, **parameters):

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.training import TrainingReport
-from stream.chunk import Chunk
-from stream.errors import DeviceError
-from stream.graph import Graph
-from stream.state import size_of
+from kinegraph.devices.reports.training import TrainingReport
+from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.data.state import size_of
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.graph import Graph
 from tests.support.exercise_events import EVENTS, event
 
 
@@ -39,7 +39,7 @@ def test_a_page_that_could_not_be_written_is_not_told_of_as_left_behind(
     outlet = TrainingReport(path=str(tmp_path / "training.html"))
     outlet.open({port: EVENTS[port] for port in outlet.inputs})
     outlet.begin()
-    monkeypatch.setattr("devices.outlets.training.report.write_complete", full)
+    monkeypatch.setattr("kinegraph.devices.reports.training.report.write_complete", full)
     with pytest.raises(DeviceError, match="No space left on device"):
         outlet.close()
     assert outlet.file == str(tmp_path / "training.csv")

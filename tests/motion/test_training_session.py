@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.simulators.exerciser import Exerciser, Routine
-from stream import cli
-from stream.chunk import NS
-from stream.recording import Recording
+from kinegraph.devices.people.exerciser import Exerciser, Routine
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.recording import Recording
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "segment_kinect.yaml"
 DONE = ("arms", "squat", "knees")

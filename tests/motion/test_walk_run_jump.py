@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.synthesis.source import NODE, Synthesis
-from stream.chunk import NS, Array, Samples
-from stream.joint_tree import joints_of
-from stream.motion_graph import MotionGraph
-from stream.recording import Recording
+from kinegraph.devices.synthesis.source import NODE, Synthesis
+from kinegraph.stream.chunk import NS, Array, Samples
+from kinegraph.stream.domain.motion_graph import MotionGraph
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.recording import Recording
 from tests.support.athlete_made import record_athlete
 from tests.support.command_line import Command, kinegraph
 from tests.support.heard import Heard
@@ -51,8 +51,8 @@ def test_it_does_what_it_is_told_in_turn(trained: MotionGraph, kinegraph: Comman
         avatar.settimeout(10)
         Path("act.yaml").write_text(
             "nodes:\n"
-            "  act: {use: devices.synthesis.source.Synthesis, model: graph.npz, realtime: false, order: [[walk, 3], [run, 4], [jump, 2]]}\n"
-            f"  avatar: {{use: devices.outlets.vmc.VmcOutlet, from: {{pose: act.pose}}, port: {avatar.getsockname()[1]}}}\n"
+            "  act: {use: devices.synthesis.Synthesis, model: graph.npz, realtime: false, order: [[walk, 3], [run, 4], [jump, 2]]}\n"
+            f"  avatar: {{use: devices.osc.vmc_outlet.VmcOutlet, from: {{pose: act.pose}}, port: {avatar.getsockname()[1]}}}\n"
             "record: [act.pose, act.node]\n"
         )
         assert kinegraph("run", "act.yaml", "--view", "none", "-o", "act")[0] == 0

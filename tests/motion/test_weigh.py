@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.features.weigh import Weigh
-from stream.chunk import Chunk, StreamSpec
-from stream.errors import ParameterError
-from stream.operator import grid
+from kinegraph.operators.features.weigh import Weigh
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import grid
 
 SPEC = StreamSpec((5,), rate_hz=30.0, channels=("TA", "SO", "GM", "TA.ax", "TA.ay"), units=("uV",) * 3 + ("g",) * 2)
 

@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from operators.align import Align
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.engine.merge import Merge
-from stream.errors import InputError, ParameterError
-from stream.operator import grid
+from kinegraph.operators.timing.align import Align
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 
 MS = 1_000_000
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.arithmetic import Arithmetic
-from operators.channels import Select
-from stream.chunk import StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.params import build
+from kinegraph.operators.filters.arithmetic import Arithmetic
+from kinegraph.operators.filters.channels import Select
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.params import build
 from tests.support.one_stream import noise, run, same
 
 SPEC = StreamSpec((3,), rate_hz=200.0, channels=("x", "y", "z"), units=("g", "g", "deg"))

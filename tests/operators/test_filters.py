@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from operators.iir import Bandpass, Highpass, Lowpass, Notch
-from operators.rectify import Rectify
-from operators.resample import Resample
-from operators.scale import Scale
-from stream.chunk import StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import grid
+from kinegraph.operators.filters.iir import Bandpass, Highpass, Lowpass, Notch
+from kinegraph.operators.filters.rectify import Rectify
+from kinegraph.operators.filters.resample import Resample
+from kinegraph.operators.filters.scale import Scale
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.support.emg_run import treadmill
 from tests.support.one_stream import RATE, noise, run, same, signal_spec
 

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from operators.gaps import FillGaps
-from stream.chunk import FOREVER, NS, Chunk, StreamSpec
-from stream.errors import ParameterError
-from stream.operator import grid
+from kinegraph.operators.filters.gaps import FillGaps
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, StreamSpec
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import grid
 from tests.support.one_stream import RATE, noise, run, same, signal_spec
 
 

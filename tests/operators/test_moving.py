@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from operators.extremes import MovingMax, MovingMin
-from operators.mean import RemoveMean
-from operators.moving import MovingMean, MovingRms
-from stream.chunk import StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import grid
+from kinegraph.operators.filters.extremes import MovingMax, MovingMin
+from kinegraph.operators.filters.mean import RemoveMean
+from kinegraph.operators.filters.moving import MovingMean, MovingRms
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.support.one_stream import RATE, noise, run, same
 
 WINDOWS = [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from operators.one_euro import OneEuro
-from operators.predict import Predict
+from kinegraph.operators.filters.one_euro import OneEuro
+from kinegraph.operators.filters.predict import Predict
 
 RATE = 30.0
 T = np.arange(300) / RATE

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from operators.decimate import Decimate
-from operators.derivative import Derivative
-from operators.resample import Resample, ratio
-from operators.smooth import Binomial
-from stream.errors import ParameterError
-from stream.operator import grid
+from kinegraph.operators.filters.decimate import Decimate
+from kinegraph.operators.filters.derivative import Derivative
+from kinegraph.operators.filters.resample import Resample, ratio
+from kinegraph.operators.filters.smooth import Binomial
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import grid
 from tests.support.one_stream import RATE, noise, run, same, signal_spec
 
 # Resampling

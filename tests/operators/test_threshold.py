@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from operators.threshold import Threshold
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.errors import ParameterError
-from stream.operator import grid
+from kinegraph.operators.filters.threshold import Threshold
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import grid
 
 SPEC = StreamSpec((1,), rate_hz=1000.0, channels=("force",), units=("N",))
 MS = 1_000_000

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets import append_file
-from devices.outlets.csv_file import CsvFile
-from stream.chunk import NS, Chunk, StreamSpec, empty
-from stream.errors import DeviceError, InputError, ParameterError
+from kinegraph.devices.outlets import append_file
+from kinegraph.devices.outlets.csv_file import CsvFile
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, empty
+from kinegraph.stream.errors import DeviceError, InputError, ParameterError
 
 START = 1_767_225_600 * NS
 EMG = StreamSpec((2,), rate_hz=1000.0, channels=("TA", "SO"), units=("uV",))
@@ -253,8 +253,8 @@ def test_a_disk_that_stays_full_is_an_error_at_the_end(tmp_path: Path, monkeypat
 def test_kill_9_loses_no_row(tmp_path: Path) -> None:
     script = (
         "import sys, numpy as np\n"
-        "from devices.outlets.csv_file import CsvFile\n"
-        "from stream.chunk import Chunk, StreamSpec\n"
+        "from kinegraph.devices.outlets.csv_file import CsvFile\n"
+        "from kinegraph.stream.chunk import Chunk, StreamSpec\n"
         "outlet = CsvFile(sys.argv[1])\n"
         "outlet.open({'in': StreamSpec((1,), rate_hz=1000.0)})\n"
         "outlet.begin()\n"

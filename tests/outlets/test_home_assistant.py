@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from devices.outlets.mqtt import MqttOutlet
-from stream.chunk import NS, Chunk
-from stream.graph.load import load
+from kinegraph.devices.mqtt import MqttOutlet
+from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.graph.reading.load import load
 from tests.sleep.test_nights_weeks import logged
 from tests.support import home_assistant
 from tests.support.mosquitto import broker, listening

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.lsl.network import library
-from devices.outlets.night import archive
-from devices.outlets.night.numbers import table
-from devices.outlets.night.page import render as render_night
-from devices.outlets.report.data import Noticed, Stream
-from devices.outlets.report.page import render as render_session
-from devices.outlets.training.page import render as render_training
-from devices.outlets.training.rows import nothing_done, take
-from stream.chunk import NS
+from kinegraph.devices.lsl.network import library
+from kinegraph.devices.reports.night import archive
+from kinegraph.devices.reports.night.numbers import table
+from kinegraph.devices.reports.night.page import render as render_night
+from kinegraph.devices.reports.session.contents.data import Noticed, Stream
+from kinegraph.devices.reports.session.page import render as render_session
+from kinegraph.devices.reports.training.page import render as render_training
+from kinegraph.devices.reports.training.rows import nothing_done, take
+from kinegraph.stream.chunk import NS
 from tests.outlets.test_report_page import sample
 from tests.support import night_made
 from tests.support.browser import needs_browser

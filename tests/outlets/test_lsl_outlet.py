@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.lsl import LslInlet
-from devices.lsl.network import Network, library
-from devices.outlets.lsl import LslOutlet
-from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.clock import SessionClock
-from stream.engine.session import Session
-from stream.errors import DeviceError, InputError, ParameterError
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.lsl import LslInlet
+from kinegraph.devices.lsl.network import Network, library
+from kinegraph.devices.lsl.outlet import LslOutlet
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import DeviceError, InputError, ParameterError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.system.clock import SessionClock
 from tests.support.device_feed import reading, wait_for
 
 
@@ -173,9 +173,9 @@ def test_a_replayed_session_is_stamped_with_the_present(name: str) -> None:
 
 
 def test_an_outlet_is_silent_in_replay(name: str, tmp_path: Path) -> None:
-    from stream.engine.replay import Replay
+    from kinegraph.stream.engine.replay import Replay
 
-    text = f"nodes:\n  board: {{use: parts.Counting}}\n  out: {{use: devices.outlets.lsl.LslOutlet, from: board, name: {name}}}"
+    text = f"nodes:\n  board: {{use: parts.Counting}}\n  out: {{use: devices.lsl.LslOutlet, from: board, name: {name}}}"
     graph = load_text(text, path=str(Path(__file__).parent / "graph.yaml"))
     assert Session(graph, tmp_path / "s").run().exit_code == 0
     with Recording.open(tmp_path / "s") as recording:

@@ -6,11 +6,11 @@ import json
 
 import pytest
 
-from devices.outlets.page.shown import described
-from stream.chunk import StreamSpec
-from stream.plain import plain_log, say
-from stream.recording.series import Series, write_recording
-from stream.screen import Screen
+from kinegraph.devices.page.transfer.catalogue import described
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.recording.series import Series, write_recording
+from kinegraph.stream.text.safe_text import plain_log, say
+from kinegraph.stream.text.screen import Screen
 from tests.support.command_line import Command, kinegraph  # noqa: F401
 from tests.support.emg_run import stamps
 

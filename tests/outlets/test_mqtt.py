@@ -15,15 +15,14 @@ import pytest
 from paho.mqtt.client import MQTTMessage
 from structlog.testing import capture_logs
 
-from devices.mqtt import MqttSwitch
-from devices.mqtt.link import FIRST_PAUSE_S, Broker
-from devices.outlets.mqtt import MqttOutlet
-from devices.outlets.mqtt.discovery import Device, Entity
-from devices.outlets.mqtt.message_queue import MOST_MESSAGES, MessageQueue, MessageQueueState
-from devices.outlets.mqtt.sent_events import SentEvents
-from stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
-from stream.errors import KinegraphError, ParameterError
-from stream.recording import Recording
+from kinegraph.devices.mqtt import MqttOutlet, MqttSwitch
+from kinegraph.devices.mqtt.discovery import Device, Entity
+from kinegraph.devices.mqtt.link import FIRST_PAUSE_S, Broker
+from kinegraph.devices.mqtt.message_queue import MOST_MESSAGES, MessageQueue, MessageQueueState
+from kinegraph.devices.mqtt.sent_events import SentEvents
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
+from kinegraph.stream.errors import KinegraphError, ParameterError
+from kinegraph.stream.recording import Recording
 from tests.support import home_assistant
 from tests.support.command_line import KINEGRAPH, Command
 from tests.support.device_feed import check, reading
@@ -288,9 +287,9 @@ def test_a_password_stands_in_a_file(tmp_path: Path) -> None:
 def test_a_password_in_a_wrong_place_is_refused_and_not_repeated(
     broker: str, kinegraph: Command, tmp_path: Path
 ) -> None:
-    board = "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 1}\n"
+    board = "nodes:\n  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 1}\n"
     entities = "device: {id: x}, entities: {a: {of: board.emg, name: A}}"
-    home = f"  home: {{use: devices.outlets.mqtt.MqttOutlet, from: board.emg, broker: {broker}, {entities}}}\n"
+    home = f"  home: {{use: devices.mqtt.MqttOutlet, from: board.emg, broker: {broker}, {entities}}}\n"
     (tmp_path / "g.yaml").write_text(board + home)
     for command in (("check",), ("run", "--view", "none", "-o", "s")):
         code, out, said = kinegraph(command[0], "g.yaml", *command[1:])
@@ -374,7 +373,7 @@ def _texts(made: MqttOutlet) -> dict[str, str]:
 
 def test_a_long_message_costs_no_memory_and_the_next_one_arrives(tmp_path: Path) -> None:
     """256 MB may come in one message: nothing of it is kept, it is confirmed, and the connection stands."""
-    from devices.mqtt.link import Broker, BrokerConnection
+    from kinegraph.devices.mqtt.link import Broker, BrokerConnection
 
     heard: list[str] = []
     with broker(tmp_path) as served, listening(served.port) as listener:
@@ -398,7 +397,7 @@ def test_a_long_message_costs_no_memory_and_the_next_one_arrives(tmp_path: Path)
 
 
 def test_messages_that_come_too_fast_are_counted_and_dropped() -> None:
-    from devices.mqtt.link import MOST_NEWS, Broker, BrokerConnection
+    from kinegraph.devices.mqtt.link import MOST_NEWS, Broker, BrokerConnection
 
     link = BrokerConnection(Broker(), "flood", "x/availability", ["x/set"], joined=lambda: None)
     for _ in range(MOST_NEWS + 7):
@@ -411,7 +410,7 @@ def test_a_password_stands_nowhere_but_in_its_file(tmp_path: Path) -> None:
     secret = "s3cret-never-shown"
     (tmp_path / "word").write_text(secret + "\n")
     (tmp_path / "graph.yaml").write_text(
-        "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill, realtime: true, duration_s: 3}\n"
+        "nodes:\n  board: {use: devices.people.treadmill.Treadmill, realtime: true, duration_s: 3}\n"
         "  lights:\n    use: devices.mqtt.MqttSwitch\n    name: lights\n"
         "    broker: {port: %d, username: me, password_file: word}\n"
     )

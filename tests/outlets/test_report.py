@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.cycle_table import CycleTable
-from devices.outlets.report import SessionReport
-from devices.outlets.report import session as report_module
-from devices.outlets.report.data import load
-from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
-from stream.errors import DeviceError, InputError, ParameterError
-from stream.graph import Edge, Graph, Node
-from stream.state import size_of
+from kinegraph.devices.outlets.terminal.cycle_table import CycleTable
+from kinegraph.devices.reports.session import SessionReport
+from kinegraph.devices.reports.session import session as report_module
+from kinegraph.devices.reports.session.contents.data import load
+from kinegraph.stream.chunk import NS, Array, Chunk, Specs, StreamSpec
+from kinegraph.stream.data.state import size_of
+from kinegraph.stream.errors import DeviceError, InputError, ParameterError
+from kinegraph.stream.graph import Edge, Graph, Node
 
 START = 1_767_225_600 * NS
 MUSCLES = ("TA", "SO", "GM")
@@ -103,7 +103,7 @@ def opened(path: Path, ports: tuple[str, ...] = tuple(SPECS), **given: float) ->
     assert outlet.open({port: SPECS[port] for port in ports}) == {}
     graph = Graph("walk", {}, "nodes: {}", session={"subject": "K-017", "speed_m_s": 1.2})
     graph.nodes["report"] = Node(
-        "report", outlet, "devices.outlets.report.SessionReport", {"emg": Edge("treadmill", "emg")}
+        "report", outlet, "devices.reports.session.SessionReport", {"emg": Edge("treadmill", "emg")}
     )
     outlet.meet(graph)
     return outlet
@@ -252,7 +252,7 @@ def test_a_report_lies_with_its_recording_and_names_it(tmp_path: Path, monkeypat
         outlet = SessionReport()
         outlet.open(SPECS)
         graph = Graph("walk", {}, "nodes: {}", recorded_in=recorded)
-        graph.nodes["report"] = Node("report", outlet, "devices.outlets.report.SessionReport")
+        graph.nodes["report"] = Node("report", outlet, "devices.reports.session.SessionReport")
         outlet.meet(graph)
         outlet.begin()
         Walk(4).feed(outlet, 0, 4, tuple(SPECS))

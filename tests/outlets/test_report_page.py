@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.outlets.report.curves import _ellipse, draw, draw_modes
-from devices.outlets.report.data import (
+from kinegraph.devices.reports.session.contents.data import (
     Column,
     Curves,
     Muscle,
@@ -24,9 +23,10 @@ from devices.outlets.report.data import (
     load,
     save,
 )
-from devices.outlets.report.page import quality_sentence, render, write
-from devices.outlets.report.peaks import MODE, MOVED, Peaks
-from devices.outlets.report.words import decimals
+from kinegraph.devices.reports.session.contents.peaks import MODE, MOVED, Peaks
+from kinegraph.devices.reports.session.contents.words import decimals
+from kinegraph.devices.reports.session.curves import _ellipse, draw, draw_modes
+from kinegraph.devices.reports.session.page import quality_sentence, render, write
 from tests.support.browser import Browser, needs_browser
 
 NAN = float("nan")
@@ -232,7 +232,8 @@ def test_what_is_saved_is_what_is_drawn(tmp_path: Path) -> None:
     assert repr(again) == repr(report)
     assert np.array_equal(same.mean, curves.mean) and np.allclose(same.single, curves.single, rtol=1e-6)
     subprocess.run(
-        [sys.executable, "-m", "devices.outlets.report.page", tmp_path / "data.npz", tmp_path / "page.html"], check=True
+        [sys.executable, "-m", "kinegraph.devices.reports.session.page", tmp_path / "data.npz", tmp_path / "page.html"],
+        check=True,
     )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["data.npz", "page.html"]
     Page((tmp_path / "page.html").read_text())
@@ -242,7 +243,9 @@ def test_what_is_saved_is_what_is_drawn(tmp_path: Path) -> None:
 def test_a_browser_shows_it_and_prints_it_on_few_sheets(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     report, curves = sample(tuple(f"M{i}" for i in range(13)))
-    report.settings.append(Setting("ensemble", "operators.gait.ensemble.CycleEnsemble", "repeatable_below: 0.65", 0.0))
+    report.settings.append(
+        Setting("ensemble", "operators.cycles.statistics.ensemble.CycleEnsemble", "repeatable_below: 0.65", 0.0)
+    )
     write(page, report, curves)
     browser = Browser(tmp_path)
     assert "M12 right" in browser.shown(page)

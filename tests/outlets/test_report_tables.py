@@ -15,14 +15,14 @@ from tests.support.command_line import KINEGRAPH
 openpyxl = pytest.importorskip("openpyxl")
 GRAPH = """
 nodes:
-  treadmill: {use: devices.simulators.treadmill.Treadmill, muscles: [TA, SO], realtime: false, duration_s: 12}
+  treadmill: {use: devices.people.treadmill.Treadmill, muscles: [TA, SO], realtime: false, duration_s: 12}
   envelope: {use: operators.emg.Envelope, from: treadmill.emg}
   cycles:
-    use: operators.gait.cycles.Cycles
+    use: operators.cycles.cycles.Cycles
     from: {signal: envelope, touchdown: treadmill.touchdown, liftoff: treadmill.liftoff}
-  statistics: {use: operators.gait.statistics.CycleStatistics, from: {closed: cycles.closed, cycles: cycles.cycles}}
+  statistics: {use: operators.cycles.statistics.CycleStatistics, from: {closed: cycles.closed, cycles: cycles.cycles}}
   report:
-    use: devices.outlets.report.SessionReport
+    use: devices.reports.session.SessionReport
     from: {closed: cycles.closed, cycles: cycles.cycles, statistics: statistics}
     path: r.html
     tables: [xlsx, mat]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.outlets.report.running import Choice, Running
+from kinegraph.devices.reports.session.contents.running import Choice, Running
 
 
 def test_mean_and_deviation_leave_nan_out_element_by_element() -> None:

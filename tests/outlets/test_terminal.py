@@ -12,8 +12,8 @@ from typing import Any
 
 from rich.console import Console
 
-from devices.outlets.terminal import WAITING, LineView, LiveView, metrics_line
-from stream.graph import Graph
+from kinegraph.devices.outlets.terminal.view import WAITING, LineView, LiveView, metrics_line
+from kinegraph.stream.graph import Graph
 
 METRICS: dict[str, dict[str, Any]] = {
     "treadmill.emg": {"kind": "source", "state": "running", "samples": 5000, "rate_hz": 999.8, "queue": 1, "dropped": 0,
@@ -70,9 +70,9 @@ def test_a_session_without_any_sample_yet() -> None:
 
 SCRIPT = """
 import sys, time, structlog
-from devices.outlets.terminal import LiveView
-from stream.commands import logs
-from stream.graph import Graph
+from kinegraph.devices.outlets.terminal.view import LiveView
+from kinegraph.stream.cli.commands import logs
+from kinegraph.stream.graph import Graph
 logs.set_up()
 log = structlog.get_logger("test")
 with LiveView(Graph("walk", {}, "")) as view:

@@ -16,18 +16,18 @@ import numpy as np
 import pytest
 import serial
 
-from devices.lsl.network import library
-from devices.outlets.session_end import SessionEnd
-from devices.outlets.trigger import TriggerOutlet
-from operators.emg.envelope import Envelope
-from operators.gait.cycles import Cycles
-from operators.gate import Gate
-from operators.threshold import Threshold
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.engine.session import Session
-from stream.errors import DeviceError, InputError, KinegraphError, ParameterError
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.lsl.network import library
+from kinegraph.devices.outlets.session_end import SessionEnd
+from kinegraph.devices.outlets.trigger.outlet import TriggerOutlet
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.operators.filters.threshold import Threshold
+from kinegraph.operators.timing.gate import Gate
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import DeviceError, InputError, KinegraphError, ParameterError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 from tests.support.emg_run import contacts, drive, stamps
 
 ONSET = np.dtype([("onset", "<i8")])
@@ -236,19 +236,19 @@ def test_a_session_is_started_and_ended_by_a_trigger_box_and_starts_and_ends_ano
 
 BOXES = """
 nodes:
-  treadmill: {{use: devices.simulators.treadmill.Treadmill, muscles: [TA]}}
-  box: {{use: devices.ascii_lines.AsciiLines, port: {0}, columns: [ttl], start: b}}
-  pulses: {{use: operators.threshold.Threshold, from: box.out, level: 0.5}}
-  measured: {{use: operators.gate.Gate, from: {{pulses: pulses.onset, in: treadmill.emg}}, tail_s: 0.5}}
+  treadmill: {{use: devices.people.treadmill.Treadmill, muscles: [TA]}}
+  box: {{use: devices.lines.AsciiLines, port: {0}, columns: [ttl], start: b}}
+  pulses: {{use: operators.filters.threshold.Threshold, from: box.out, level: 0.5}}
+  measured: {{use: operators.timing.gate.Gate, from: {{pulses: pulses.onset, in: treadmill.emg}}, tail_s: 0.5}}
   recorder: {{use: devices.outlets.trigger.TriggerOutlet, from: measured, serial_port: {1}, line: byte, codes: [5, 6]}}
   end: {{use: devices.outlets.session_end.SessionEnd, from: pulses.onset, after_s: 0.6}}
 record: [pulses.onset, measured]
 """
 GRAPH = """
 nodes:
-  treadmill: {use: devices.simulators.treadmill.Treadmill, muscles: [TA]}
-  pulses: {use: operators.threshold.Threshold, from: treadmill.force, level: 100, release: 50}
-  measured: {use: operators.gate.Gate, from: {pulses: pulses.onset, in: treadmill.emg}, tail_s: TAIL}
+  treadmill: {use: devices.people.treadmill.Treadmill, muscles: [TA]}
+  pulses: {use: operators.filters.threshold.Threshold, from: treadmill.force, level: 100, release: 50}
+  measured: {use: operators.timing.gate.Gate, from: {pulses: pulses.onset, in: treadmill.emg}, tail_s: TAIL}
   out: {use: devices.outlets.trigger.TriggerOutlet, from: measured, osc: "127.0.0.1:PORT"}
   end: {use: devices.outlets.session_end.SessionEnd, from: pulses.onset, after_s: AFTER}
 record: [pulses.onset, measured]

@@ -14,10 +14,10 @@ from jsonschema import Draft202012Validator
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from devices.outlets.page.lane import FoxgloveLane
-from stream.errors import KinegraphError
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.page.live import FoxgloveLane
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import KINEGRAPH
 from tests.support.page_session import PageProcess
 
@@ -28,9 +28,9 @@ GRAPH = """
 name: small
 record: [active.interval]
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill}
-  calf: {use: operators.channels.Select, from: board.emg, channels: [GM, SO]}
-  active: {use: operators.threshold.Threshold, from: calf, channel: GM, level: 40, release: 25}
+  board: {use: devices.people.treadmill.Treadmill}
+  calf: {use: operators.filters.channels.Select, from: board.emg, channels: [GM, SO]}
+  active: {use: operators.filters.threshold.Threshold, from: calf, channel: GM, level: 40, release: 25}
 """
 MESSAGE = struct.Struct("<BIQ")
 """Opcode, subscription, stamp (ns)."""

@@ -21,17 +21,17 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from devices.outlets.page.reading import MOST_STAMP
-from devices.outlets.page.serving import PageServer
-from devices.outlets.page.viewing import RecordingHub
-from devices.outlets.page.wire import decode
-from stream.bounded import reading
-from stream.chunk import NS, StreamSpec
-from stream.errors import KinegraphError
-from stream.manual import ANNOTATION
-from stream.recording import Recording
-from stream.recording.place import parts_of
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.page.recorded.reading import MOST_STAMP
+from kinegraph.devices.page.recorded.viewing import RecordingHub
+from kinegraph.devices.page.serving import PageServer
+from kinegraph.devices.page.transfer.wire import decode
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.data.bounded import reading
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.manual import ANNOTATION
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format.paths import parts_of
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.measured import MOST_S
 from tests.support.mutants import SECONDS, mutant, seed_of
 from tests.support.page_session import needs_page

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from devices.outlets.page.wire import decode
-from stream.recording import Recording
+from kinegraph.devices.page.transfer.wire import decode
+from kinegraph.stream.recording import Recording
 from tests.support.browser import needs_browser
 from tests.support.horses_made import NAMES, YAML, horse, record
 from tests.support.live_browser import LiveBrowser, live_browser
@@ -431,16 +431,16 @@ page:
     - {kind: map, of: [grid.place, grid.poses], title: grid}
     - {kind: map, of: [plane.map, plane.explained], title: plane}
 nodes:
-  someone: {use: devices.simulators.exerciser.Exerciser}
+  someone: {use: devices.people.exerciser.Exerciser}
   pose:
     use: operators.features.normalised_pose.NormalisedPose
     from: someone.joints
     origin: hips
     ahead: left
     markers: {hips: [hip_l, hip_r], left: [hip_l], hand_l: [hand_l], hand_r: [hand_r], knee_l: [knee_l], knee_r: [knee_r]}
-  even: {use: operators.align.Align, from: {pose: pose}, rate_hz: 30, max_distance_s: 0.2}
-  grid: {use: operators.pose_map.som.PoseGrid, from: even, rows: 4, columns: 5, learn_s: 2}
-  plane: {use: operators.motion_map.MotionMap, from: even}
+  even: {use: operators.timing.align.Align, from: {pose: pose}, rate_hz: 30, max_distance_s: 0.2}
+  grid: {use: operators.maps.pose_map.som.PoseGrid, from: even, rows: 4, columns: 5, learn_s: 2}
+  plane: {use: operators.maps.motion_map.MotionMap, from: even}
 record: [grid.place]
 """
 

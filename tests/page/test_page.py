@@ -22,7 +22,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from stream.recording import Recording
+from kinegraph.stream.recording import Recording
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
 from tests.support.live_browser import LiveBrowser, live_browser
@@ -36,10 +36,10 @@ name: small
 session: {{subject: '{HOSTILE}'}}
 record: [calf, active.interval]
 nodes:
-  board: {{use: devices.simulators.treadmill.Treadmill}}
+  board: {{use: devices.people.treadmill.Treadmill}}
   level: {{use: stream.manual.Value, initial: 40, least: 0, most: 100, unit: uV}}
-  calf: {{use: operators.channels.Select, from: board.emg, channels: [GM, SO]}}
-  active: {{use: operators.threshold.Threshold, from: calf, channel: GM, level: 40, release: 25}}
+  calf: {{use: operators.filters.channels.Select, from: board.emg, channels: [GM, SO]}}
+  active: {{use: operators.filters.threshold.Threshold, from: calf, channel: GM, level: 40, release: 25}}
 """
 
 
@@ -297,8 +297,8 @@ CAMERA = """
 record: [simplify.blocks]
 page: {unrecorded_pictures: true}
 nodes:
-  camera: {use: devices.simulators.bedside.Bedside, width: 64, height: 48, fps: 1, bed_h: 0.1}
-  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
+  camera: {use: devices.people.bedside.Bedside, width: 64, height: 48, fps: 1, bed_h: 0.1}
+  simplify: {use: operators.bed.frames.simplify.Simplify, from: camera.depth}
 """
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from devices.outlets.page.shown import hello
-from stream.graph.load import load_text
+from kinegraph.devices.page.transfer.catalogue import hello
+from kinegraph.stream.graph.reading.load import load_text
 from tests.support.browser import needs_browser
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import needs_page, page_process
@@ -15,9 +15,9 @@ from tests.support.page_session import needs_page, page_process
 pytestmark = [needs_page, needs_browser, pytest.mark.timeout(280)]
 
 NODES = """nodes:
-  board: {use: devices.simulators.treadmill.Treadmill}
-  calf: {use: operators.channels.Select, from: board.emg, channels: [GM, SO]}
-  active: {use: operators.threshold.Threshold, from: calf, channel: GM, level: 40, release: 25}
+  board: {use: devices.people.treadmill.Treadmill}
+  calf: {use: operators.filters.channels.Select, from: board.emg, channels: [GM, SO]}
+  active: {use: operators.filters.threshold.Threshold, from: calf, channel: GM, level: 40, release: 25}
 """
 GRAPH = """page:
   panels:

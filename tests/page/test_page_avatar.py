@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from devices.files.vrm_read import read_vrm
-from devices.outlets.page.avatar_file import AVATAR, checked_avatar
-from devices.outlets.page.poses import avatar_bones
-from stream.chunk import NS, Samples, StreamSpec
-from stream.errors import KinegraphError
-from stream.humanoid import BONES, to_humanoid, usual_body
-from stream.joint_tree import JointTree, joints_of
-from stream.operator import grid
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.formats.gltf.vrm_reader import read_vrm
+from kinegraph.devices.page.avatar_file import AVATAR, checked_avatar
+from kinegraph.devices.page.transfer.poses import avatar_bones
+from kinegraph.stream.chunk import NS, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES, to_humanoid, usual_body
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests import mannequin
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
@@ -41,7 +41,7 @@ page:
     - {{kind: avatar, of: performer.pose, title: avatar, tall: 2, wide: 2}}
     - {{kind: scene, of: performer.markers, title: markers, tall: 2, wide: 2}}
 nodes:
-  performer: {{use: devices.simulators.performer.Performer, realtime: false, duration_s: {SECONDS}}}
+  performer: {{use: devices.people.performer.Performer, realtime: false, duration_s: {SECONDS}}}
 """
 LEGS = ("LeftLowerLeg", "LeftFoot")
 

@@ -12,9 +12,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from stream.chunk import NS, StreamSpec, grid
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.stream.chunk import NS, StreamSpec, grid
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.page.test_page import SMALL
 from tests.support.browser import needs_browser
 from tests.support.live_browser import LiveBrowser, live_browser
@@ -169,8 +169,8 @@ def test_what_is_painted_reaches_from_the_least_to_the_greatest_of_each_column(
 def test_a_stream_that_fell_silent_is_greyed_and_says_since_when(browser: LiveBrowser, tmp_path: Path) -> None:
     (tmp_path / "silent.yaml").write_text(
         "name: silent\npage: {panels: [{kind: signal, of: over.emg}, {kind: signal, of: board.emg}]}\n"
-        "nodes:\n  over: {use: devices.simulators.treadmill.Treadmill, duration_s: 2}\n"
-        "  board: {use: devices.simulators.treadmill.Treadmill}\n"
+        "nodes:\n  over: {use: devices.people.treadmill.Treadmill, duration_s: 2}\n"
+        "  board: {use: devices.people.treadmill.Treadmill}\n"
     )
     with page_process(tmp_path, "run", "silent.yaml", "--view", "none", "-o", "s") as process:
         browser.open(process.url)

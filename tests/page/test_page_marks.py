@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.page.marks import MOST_MARKS, Marks, shown_with
-from devices.outlets.page.viewing import RecordingHub
-from devices.outlets.page.wire import Mark
-from stream.chunk import NS, StreamSpec
-from stream.errors import KinegraphError
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.page.marks import MOST_MARKS, Marks, shown_with
+from kinegraph.devices.page.recorded.viewing import RecordingHub
+from kinegraph.devices.page.transfer.wire import Mark
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
 from tests.support.live_browser import LiveBrowser, live_browser
@@ -29,8 +29,8 @@ record: [calf]
 page: {panels: [{kind: signal, of: calf, wide: 2}, {kind: events, of: annotations, wide: 2}]}
 nodes:
   annotations: {use: stream.manual.Annotations}
-  board: {use: devices.simulators.treadmill.Treadmill}
-  calf: {use: operators.channels.Select, from: board.emg, channels: [GM, SO]}
+  board: {use: devices.people.treadmill.Treadmill}
+  calf: {use: operators.filters.channels.Select, from: board.emg, channels: [GM, SO]}
 """
 
 

@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.files.bvh_read import read_bvh
-from operators.gait.contacts import CONTACT
-from stream.arrays import grid
-from stream.chunk import NS, Array, StreamSpec
-from stream.joint_tree import JointTree, joints_of
-from stream.mesh import Topology
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.formats.bvh.reader import read_bvh
+from kinegraph.operators.contacts.contacts import CONTACT
+from kinegraph.stream.chunk import NS, Array, StreamSpec
+from kinegraph.stream.data.arrays import grid
+from kinegraph.stream.domain.mesh import Topology
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
 from tests.support.convert_run import DATA, arrays
@@ -54,35 +54,35 @@ page:
 nodes:
   envelope: {use: operators.emg.Envelope, from: treadmill.emg}
   cycles:
-    use: operators.gait.cycles.Cycles
+    use: operators.cycles.cycles.Cycles
     from: {signal: envelope, touchdown: treadmill.touchdown, liftoff: treadmill.liftoff}
-  ensemble: {use: operators.gait.ensemble.CycleEnsemble, from: {closed: cycles.closed, cycles: cycles.cycles}}
+  ensemble: {use: operators.cycles.statistics.ensemble.CycleEnsemble, from: {closed: cycles.closed, cycles: cycles.cycles}}
   mixtures:
     use: operators.emg.mixtures.PeakMixtures
     from: {maxima: cycles.maxima, closed: cycles.closed, cycles: cycles.cycles}
     fewest_cycles: 4
   targets:
-    use: operators.gait.cycle_targets.CycleTargets
+    use: operators.cycles.statistics.cycle_targets.CycleTargets
     from: {closed: cycles.closed, cycles: cycles.cycles}
     targets: [{muscle: SO, from_pct: 20, to_pct: 60, low: 1, high: 1000}, {muscle: TA, from_pct: 90, to_pct: 10, low: 900, high: 1000}]
-  norms: {use: operators.gait.norms.NormativeBands, from: {closed: cycles.closed, cycles: cycles.cycles}, file: bands.csv}
+  norms: {use: operators.cycles.statistics.norms.NormativeBands, from: {closed: cycles.closed, cycles: cycles.cycles}, file: bands.csv}
 """
 SIMULATED = """
-  treadmill: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 20}
-  performer: {use: devices.simulators.performer.Performer, realtime: false, duration_s: 20, noise_mm: 0}
-  people: {use: devices.simulators.quadruped.TwoActors, realtime: false, duration_s: 20}
-  camera: {use: devices.simulators.bedside.Bedside, width: 64, height: 48, fps: 1, bed_h: 0.01, evening_min: 2, morning_min: 0}
-  body: {use: operators.whole_pose.operator.WholePose, from: performer.markers, up: y}
+  treadmill: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 20}
+  performer: {use: devices.people.performer.Performer, realtime: false, duration_s: 20, noise_mm: 0}
+  people: {use: devices.people.quadruped.TwoActors, realtime: false, duration_s: 20}
+  camera: {use: devices.people.bedside.Bedside, width: 64, height: 48, fps: 1, bed_h: 0.01, evening_min: 2, morning_min: 0}
+  body: {use: operators.pose.WholePose, from: performer.markers, up: y}
   legs:
     use: operators.steering.actors.Actors
     from: people
     limbs:
       {hoof_fl: [first.foot_l, first.hip], hoof_fr: [first.foot_r, first.hip], hoof_hl: [second.foot_l, second.hip],
        hoof_hr: [second.foot_r, second.hip]}
-  steer: {use: operators.steering.operator.SteerMesh, from: legs}
+  steer: {use: operators.steering.SteerMesh, from: legs}
 """
 REAL = "".join(
-    f"  {name}: {{use: devices.files.RecordedStreams, path: real.mcap, of: {name}}}\n"
+    f"  {name}: {{use: devices.recorded.RecordedStreams, path: real.mcap, of: {name}}}\n"
     for name in ("treadmill", "performer", "camera", "body", "steer")
 )
 MOMENTS = {

@@ -14,26 +14,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 
-from devices.outlets.page import messages
-from devices.outlets.page.access import Access
-from devices.outlets.page.address import Address, parsed
-from devices.outlets.page.channel import PageChannel, Portion
-from devices.outlets.page.history import History
-from devices.outlets.page.hub import Hub, Looking
-from devices.outlets.page.metrics import openmetrics
-from devices.outlets.page.shown import default_panels, described, hello, kind_of, offered
-from devices.outlets.page.thin import thinned
-from devices.outlets.page.wire import Asked, asked, decode, encode
-from stream.chunk import NS, Chunk, StreamSpec, grid
-from stream.errors import GraphError, KinegraphError
-from stream.graph.load import load, load_text
-from stream.humanoid import usual_body
-from stream.joint_tree import joints_of
-from stream.mesh import Topology
+from kinegraph.devices.page.access import Access
+from kinegraph.devices.page.address import Address, parsed
+from kinegraph.devices.page.hub import Hub, Looking
+from kinegraph.devices.page.metrics import openmetrics
+from kinegraph.devices.page.transfer import messages
+from kinegraph.devices.page.transfer.catalogue import default_panels, described, hello, kind_of, offered
+from kinegraph.devices.page.transfer.channel import PageChannel, Portion
+from kinegraph.devices.page.transfer.downsample import thinned
+from kinegraph.devices.page.transfer.history import History
+from kinegraph.devices.page.transfer.wire import Asked, asked, decode, encode
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, grid
+from kinegraph.stream.domain.humanoid import usual_body
+from kinegraph.stream.domain.mesh import Topology
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.errors import GraphError, KinegraphError
+from kinegraph.stream.graph.reading.load import load, load_text
 
 RATE_HZ = 1000.0
 SIGNAL = StreamSpec((2,), rate_hz=RATE_HZ, channels=("a", "b"), units=("uV",))
-BOARD = "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill}\n"
+BOARD = "nodes:\n  board: {use: devices.people.treadmill.Treadmill}\n"
 
 
 def test_a_message_comes_back_as_it_was_sent_and_its_numbers_are_aligned() -> None:
@@ -290,7 +290,7 @@ def test_pictures_that_may_not_be_recorded_are_not_offered(dtype: str) -> None:
 
 
 def test_what_lies_within_a_row_of_filters_is_not_offered_unless_it_is_asked_for() -> None:
-    row = "  a: {use: operators.rectify.Rectify, from: board.emg}\n  b: {use: operators.iir.Lowpass, from: a, cutoff_hz: 6}\n"
+    row = "  a: {use: operators.Rectify, from: board.emg}\n  b: {use: operators.Lowpass, from: a, cutoff_hz: 6}\n"
     assert not {"a"} & offered(load_text(BOARD + row), outside=False).keys()
     assert {"b"} & offered(load_text(BOARD + row), outside=False).keys()
     for more in ("record: [a]\n", "page: {panels: [{kind: signal, of: a}]}\n"):
@@ -458,7 +458,7 @@ def test_every_message_stands_in_the_docs() -> None:
         .partition("## Messages")[2]
         .partition("## Building")[0]
     )
-    wire = (folder / "devices/outlets/page/web/wire.ts").read_text(encoding="utf-8")
+    wire = (folder / "devices/page/web/wire.ts").read_text(encoding="utf-8")
     sent = {name for line in re.findall(r"\bt: ((?:\"\w+\"(?: \| )?)+)", wire) for name in re.findall(r"\w+", line)}
     assert len(sent) > 12
     assert {name for name in sent if f"`{name}`" not in told} == set()

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from devices.outlets.page.channel import TICK, PageChannel
-from devices.outlets.page.pipe import MOST_BUFFERS, ServerPipe
-from devices.outlets.page.wire import LENGTH, decode, encode
-from stream.chunk import Chunk, grid
+from kinegraph.devices.page.transfer.channel import TICK, PageChannel
+from kinegraph.devices.page.transfer.pipe import MOST_BUFFERS, ServerPipe
+from kinegraph.devices.page.transfer.wire import LENGTH, decode, encode
+from kinegraph.stream.chunk import Chunk, grid
 
 
 @dataclass

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from scipy.signal import spectrogram, welch
 
-from devices.files.bvh_read import read_bvh
-from devices.files.vrm_read import read_vrm
-from devices.outlets.page.avatar_file import AVATAR
-from operators.gait.contacts import CONTACT
-from stream.chunk import NS, Array, Samples, StreamSpec, grid
-from stream.graph import RecordingOptions
-from stream.humanoid import BONES, to_humanoid
-from stream.joint_tree import JointTree, joints_of
-from stream.recording import Recorder, Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.formats.bvh.reader import read_bvh
+from kinegraph.devices.formats.gltf.vrm_reader import read_vrm
+from kinegraph.devices.page.avatar_file import AVATAR
+from kinegraph.operators.contacts.contacts import CONTACT
+from kinegraph.stream.chunk import NS, Array, Samples, StreamSpec, grid
+from kinegraph.stream.domain.humanoid import BONES, to_humanoid
+from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder, Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.page.test_page_avatar import leg
 from tests.page.test_page_panels import SHADES, Shown
 from tests.page.test_page_views import choose, light
@@ -51,18 +51,18 @@ page:
     - {kind: graph}
     - {kind: log}
 nodes:
-  treadmill: {use: devices.files.RecordedStreams, path: real.mcap, of: treadmill}
-  body: {use: devices.files.RecordedStreams, path: real.mcap, of: body}
-  performer: {use: devices.files.RecordedStreams, path: real.mcap, of: performer}
+  treadmill: {use: devices.recorded.RecordedStreams, path: real.mcap, of: treadmill}
+  body: {use: devices.recorded.RecordedStreams, path: real.mcap, of: body}
+  performer: {use: devices.recorded.RecordedStreams, path: real.mcap, of: performer}
   pose:
     use: operators.features.normalised_pose.NormalisedPose
     from: performer.joints
     origin: hips
     ahead: left
     markers: {hips: [lhipjoint, rhipjoint], left: [lhipjoint], hand_l: [lhand], hand_r: [rhand], knee_l: [lfemur], knee_r: [rfemur]}
-  even: {use: operators.align.Align, from: {pose: pose}, rate_hz: 30, max_distance_s: 0.2}
-  grid: {use: operators.pose_map.som.PoseGrid, from: even, rows: 4, columns: 5, learn_s: 2}
-  plane: {use: operators.motion_map.MotionMap, from: even}
+  even: {use: operators.timing.align.Align, from: {pose: pose}, rate_hz: 30, max_distance_s: 0.2}
+  grid: {use: operators.maps.pose_map.som.PoseGrid, from: even, rows: 4, columns: 5, learn_s: 2}
+  plane: {use: operators.maps.motion_map.MotionMap, from: even}
   alike: {use: operators.features.self_similarity.SelfSimilarity, from: even, every: 15, lags: 40}
 """
 SPAN_S = 2.0
@@ -366,7 +366,7 @@ name: night
 record: [scorer]
 page: {panels: [{kind: hypnogram, of: scorer, title: night, wide: 4}]}
 nodes:
-  wrist: {use: devices.files.RecordedStreams, path: real.mcap, of: wrist}
+  wrist: {use: devices.recorded.RecordedStreams, path: real.mcap, of: wrist}
   scorer: {use: operators.sleep.scorer.SleepScorer, from: wrist.counts, method: cole_kripke_actilife}
 """
 MINUTES = 240

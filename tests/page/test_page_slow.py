@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from devices.outlets.page.hub import Hub
-from devices.outlets.page.serving import PageServer
-from devices.outlets.page.shown import described
-from devices.outlets.page.wire import decode, encode
-from stream.chunk import NS, StreamSpec
+from kinegraph.devices.page.hub import Hub
+from kinegraph.devices.page.serving import PageServer
+from kinegraph.devices.page.transfer.catalogue import described
+from kinegraph.devices.page.transfer.wire import decode, encode
+from kinegraph.stream.chunk import NS, StreamSpec
 from tests.support.browser import needs_browser
 from tests.support.live_browser import live_browser
 from tests.support.page_session import PATIENCE_S, needs_page

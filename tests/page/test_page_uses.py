@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.simulators.actigraph import Actigraph, ActigraphNight
-from stream.chunk import NS
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.people.actigraph import Actigraph, ActigraphNight
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
 from tests.support.live_browser import LiveBrowser, live_browser
@@ -46,7 +46,7 @@ page:
   panels:
     - {kind: hypnogram, of: scorer, title: the night, wide: 4}
 nodes:
-  wrist: {use: devices.simulators.actigraph.Actigraph}
+  wrist: {use: devices.people.actigraph.Actigraph}
   scorer: {use: operators.sleep.scorer.SleepScorer, from: wrist.activity}
 """
 EPOCH_S = 30
@@ -152,23 +152,23 @@ page:
     - {kind: table, of: stages.stages}
     - {kind: log}
 nodes:
-  treadmill: {use: devices.simulators.treadmill.Treadmill, legs: both, muscles: [RF, BF, TA, SO], left_share: 0.8}
+  treadmill: {use: devices.people.treadmill.Treadmill, legs: both, muscles: [RF, BF, TA, SO], left_share: 0.8}
   feet:
-    use: operators.gait.limb_contacts.LimbContacts
+    use: operators.contacts.limb_contacts.LimbContacts
     from: treadmill.force
     detector: force
     limbs: {left: {channels: [Fz_left], other: [Fz_right]}, right: {channels: [Fz_right], other: [Fz_left]}}
   envelope: {use: operators.emg.Envelope, from: treadmill.emg}
   cycles:
-    use: operators.gait.limb_cycles.LimbCycles
+    use: operators.cycles.limb_cycles.LimbCycles
     from: {signal: envelope, touchdown: feet.touchdown, liftoff: feet.liftoff}
     limbs: {left: "L_*", right: "R_*"}
   annotations: {use: stream.manual.Annotations, heard_s: 0.05}
   stages:
-    use: operators.gait.stages.Stages
+    use: operators.cycles.stages.Stages
     from: {signal: envelope, annotations: annotations, closed: cycles.closed}
     protocol: [{stage: warm-up, for_s: 600}]
-  ensemble: {use: operators.gait.ensemble.CycleEnsemble, from: {closed: stages.closed, cycles: cycles.cycles}}
+  ensemble: {use: operators.cycles.statistics.ensemble.CycleEnsemble, from: {closed: stages.closed, cycles: cycles.cycles}}
 """
 
 

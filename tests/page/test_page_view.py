@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.page.marks import MARKS
-from devices.outlets.page.pyramid import Pyramid
-from devices.outlets.page.viewing import RecordingHub
-from devices.outlets.page.wire import Look, decode
-from stream.chunk import NS, Chunk, StreamSpec, grid
-from stream.graph import RecordingOptions
-from stream.manual import ANNOTATION
-from stream.recording import Recorder, Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.page.marks import MARKS
+from kinegraph.devices.page.recorded.pyramid import Pyramid
+from kinegraph.devices.page.recorded.viewing import RecordingHub
+from kinegraph.devices.page.transfer.wire import Look, decode
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, grid
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.manual import ANNOTATION
+from kinegraph.stream.recording import Recorder, Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.browser import needs_browser
 from tests.support.live_browser import live_browser
 from tests.support.page_session import PageProcess, needs_page, page_process
@@ -141,8 +141,8 @@ def test_panels_stand_as_arranged_although_a_file_that_the_graph_names_is_elsewh
 page:
   panels: [{kind: signal, of: board.emg, title: legs, wide: 2}, {kind: cycles, of: bands.low}, {kind: theirs, of: board.emg}]
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill}
-  bands: {use: operators.gait.norms.NormativeBands, from: {closed: board.touchdown, cycles: board.emg}, file: elsewhere.csv}
+  board: {use: devices.people.treadmill.Treadmill}
+  bands: {use: operators.cycles.statistics.norms.NormativeBands, from: {closed: board.touchdown, cycles: board.emg}, file: elsewhere.csv}
 """
     write_recording(
         tmp_path / "s.mcap",
@@ -163,7 +163,7 @@ def recorded_by(graph: str, path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "use", ["{module}.Rectify", "stream.__main__.main", "operators.__main__.X", "test.__main__.X", "..X"]
+    "use", ["{module}.Rectify", "kinegraph.__main__.main", "operators.__main__.X", "test.__main__.X", "..X"]
 )
 def test_looking_at_a_recording_imports_no_module_that_its_graph_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: str
@@ -174,7 +174,7 @@ def test_looking_at_a_recording_imports_no_module_that_its_graph_names(
     graph = f"""
 page: {{panels: [{{kind: signal, of: [board.emg, other]}}]}}
 nodes:
-  board: {{use: devices.simulators.treadmill.Treadmill}}
+  board: {{use: devices.people.treadmill.Treadmill}}
   other: {{use: {use.format(module=module)}, from: board.emg}}
 """
     with Recording.open(recorded_by(graph, tmp_path / "s.mcap")) as opened:
@@ -182,21 +182,23 @@ nodes:
         panel = decode(RecordingHub(opened).greeting())[0]["panels"][0]
     assert (panel["kind"], panel["of"]) == ("signal", ["board.emg"])
     assert not (tmp_path / "ran").exists()
-    assert not {name for name in {*sys.modules} - before if name.startswith(("stranger", "test.", "stream.__main__"))}
+    assert not {
+        name for name in {*sys.modules} - before if name.startswith(("stranger", "test.", "kinegraph.__main__"))
+    }
 
 
 def test_looking_at_a_recording_opens_no_operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     graph = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill}
-  rect: {use: operators.rectify.Rectify, from: board.emg}
+  board: {use: devices.people.treadmill.Treadmill}
+  rect: {use: operators.filters.rectify.Rectify, from: board.emg}
 """
 
     def refuse(*_: object) -> None:
         raise AssertionError("an operator was opened")
 
-    monkeypatch.setattr("stream.graph.opening.open_nodes", refuse)
-    monkeypatch.setattr("stream.graph.load.open_nodes", refuse)
+    monkeypatch.setattr("kinegraph.stream.graph.reading.opening.open_nodes", refuse)
+    monkeypatch.setattr("kinegraph.stream.graph.reading.load.open_nodes", refuse)
     with Recording.open(recorded_by(graph, tmp_path / "s.mcap")) as opened:
         assert decode(RecordingHub(opened).greeting())[0]["panels"]
 
@@ -204,12 +206,14 @@ nodes:
 def test_a_registered_package_brings_its_panels_to_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = f"gait_lab_of_{abs(hash(tmp_path))}"
     (tmp_path / f"{package}.py").write_text(
-        "from dataclasses import dataclass\nfrom operators.rectify import Rectify\n"
+        "from dataclasses import dataclass\nfrom operators.filters.rectify import Rectify\n"
         "@dataclass(frozen=True)\nclass Dial(Rectify):\n    panels = {'dial': 'dial.js'}\n"
     )
     (tmp_path / "dial.js").write_text("export default () => ({ draw() {} });")
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr("stream.graph.parts.entry_points", lambda group: [EntryPoint("lab", package, group)])
+    monkeypatch.setattr(
+        "kinegraph.stream.graph.components.entry_points", lambda group: [EntryPoint("lab", package, group)]
+    )
     graph = f"nodes:\n  board: {{use: {package}.Dial, from: x}}\n"
     with Recording.open(recorded_by(graph, tmp_path / "s.mcap")) as opened:
         hub = RecordingHub(opened)
@@ -246,7 +250,7 @@ def test_a_view_from_afar_of_many_channels_and_many_moments_is_bounded() -> None
 def test_a_look_that_would_read_too_much_shows_what_is_seen_from_afar(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("devices.outlets.page.reading.MOST_READ", 3000)
+    monkeypatch.setattr("kinegraph.devices.page.recorded.reading.MOST_READ", 3000)
     with Recording.open(recording) as opened:
         hub = RecordingHub(opened)
         hub.build(lambda message: None)

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from scipy.signal import spectrogram, welch
 
-from devices.outlets.page import messages
-from devices.outlets.page.shown import hello, own_modules
-from devices.outlets.page.spectra import analysed, windows
-from devices.outlets.page.wire import Analyse, asked, decode
-from stream.chunk import NS, StreamSpec, grid
-from stream.errors import GraphError, KinegraphError
-from stream.graph.load import load, load_text
-from stream.graph.page_section import GROUP
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.page.transfer import messages
+from kinegraph.devices.page.transfer.catalogue import hello, own_modules
+from kinegraph.devices.page.transfer.spectra import analysed, windows
+from kinegraph.devices.page.transfer.wire import Analyse, asked, decode
+from kinegraph.stream.chunk import NS, StreamSpec, grid
+from kinegraph.stream.errors import GraphError, KinegraphError
+from kinegraph.stream.graph.reading.load import load, load_text
+from kinegraph.stream.graph.reading.page_section import GROUP
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.house.test_docs import HOUSE, blocks
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
@@ -200,9 +200,7 @@ def test_a_panel_that_fails_says_so_and_the_others_go_on(browser: LiveBrowser, t
 
 
 def test_a_kind_that_nobody_brings_is_refused_with_those_there_are(tmp_path: Path) -> None:
-    text = (
-        "page: {panels: [{kind: barz, of: board.emg}]}\nnodes: {board: {use: devices.simulators.treadmill.Treadmill}}\n"
-    )
+    text = "page: {panels: [{kind: barz, of: board.emg}]}\nnodes: {board: {use: devices.people.treadmill.Treadmill}}\n"
     with pytest.raises(GraphError, match="barz"):
         load_text(text)
 
@@ -213,10 +211,11 @@ def test_an_installed_package_brings_a_panel_by_an_entry_point(monkeypatch: pyte
     (tmp_path / "dial.js").write_text("export default () => ({ draw() {} });")
     monkeypatch.syspath_prepend(str(tmp_path))
     entry = EntryPoint("dial", f"{module}:PANEL", GROUP)
-    monkeypatch.setattr("stream.graph.page_section.entry_points", lambda group, name: [entry] if name == "dial" else [])
-    text = (
-        "page: {panels: [{kind: dial, of: board.emg}]}\nnodes: {board: {use: devices.simulators.treadmill.Treadmill}}\n"
+    monkeypatch.setattr(
+        "kinegraph.stream.graph.reading.page_section.entry_points",
+        lambda group, name: [entry] if name == "dial" else [],
     )
+    text = "page: {panels: [{kind: dial, of: board.emg}]}\nnodes: {board: {use: devices.people.treadmill.Treadmill}}\n"
     graph = load_text(text)
     assert own_modules(graph.page) == {"dial": "export default () => ({ draw() {} });"}
     assert hello(graph, outside=False, mode="live", t0_ns=0)["panels"][0]["kind"] == "dial"
@@ -232,9 +231,9 @@ name: alike
 record: [alike, stack]
 page: {panels: [{kind: similarity, of: alike, title: alike, window_s: 60}]}
 nodes:
-  mocap: {use: devices.simulators.exerciser.Exerciser, noise_mm: 1, jitter_ms: 0, realtime: false, duration_s: 40}
+  mocap: {use: devices.people.exerciser.Exerciser, noise_mm: 1, jitter_ms: 0, realtime: false, duration_s: 40}
   pose: {use: operators.features.pose.Pose, from: mocap.joints}
-  even: {use: operators.align.Align, from: {pose: pose}, rate_hz: 30, max_distance_s: 0.2}
+  even: {use: operators.timing.align.Align, from: {pose: pose}, rate_hz: 30, max_distance_s: 0.2}
   stack: {use: operators.features.stack.Stack, from: even}
   alike: {use: operators.features.self_similarity.SelfSimilarity, from: stack, every: 15, lags: 60}
 """

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.bitalino import Bitalino, BitalinoChannel
-from devices.simulators.bitalino import BitalinoModel
-from devices.simulators.lines import line_at
-from devices.simulators.serve import Server
+from kinegraph.devices.bitalino.simulator import BitalinoModel
+from kinegraph.devices.bitalino.source import Bitalino, BitalinoChannel
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.serve import Server
 from tests.support.device_feed import reading, wait_for
 
 pytest.importorskip("bitalino", reason="the bitalino package is not installed (pip install --no-deps bitalino)")

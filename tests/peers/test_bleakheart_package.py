@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.protocols import heart_rate
-from devices.protocols.polar_pmd import PmdDecoder
-from devices.simulators.ble_radio import SimulatedRadio, radio
-from devices.simulators.polar import PolarBelt
+from kinegraph.devices.ble.simulated_radio import SimulatedRadio, radio
+from kinegraph.devices.heart_rate import protocol as heart_rate
+from kinegraph.devices.polar.protocol import PmdDecoder
+from kinegraph.devices.polar.simulator import PolarBelt
 
 bleak = pytest.importorskip("bleak")
 bleakheart = pytest.importorskip("bleakheart")

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.cyton import Cyton
-from devices.protocols.cyton import uv_per_count
-from devices.simulators.cyton import CytonModel
-from devices.simulators.lines import line_at
-from devices.simulators.serve import Server
+from kinegraph.devices.cyton.protocol import uv_per_count
+from kinegraph.devices.cyton.simulator import CytonModel
+from kinegraph.devices.cyton.source import Cyton
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.serve import Server
 from tests.support.device_feed import reading, wait_for
 
 pytest.importorskip("brainflow", reason="BrainFlow is not installed (pip install 'kinegraph[peers]')")

@@ -20,11 +20,11 @@ SECONDS = int(os.environ.get("KINEGRAPH_FUZZ_S", "5"))
 PROGRAM = """
 import sys
 import atheris
-import devices.protocols.xbus_numbers  # kernels: what is compiled cannot be watched
+import kinegraph.devices.mti.xbus_numbers  # kernels: what is compiled cannot be watched
 with atheris.instrument_imports(include=["devices.protocols"]):
-    from devices.protocols import {module}
-from devices.protocols.declared import Field, Frame
-from devices.protocols.frame_layout import FrameLayout
+    from kinegraph.devices.protocols import {module}
+from kinegraph.devices.frames.declared import Field, Frame
+from kinegraph.devices.frames.layout import FrameLayout
 FRAMES = [FrameLayout(Frame("A5 5A", (Field("u8", role="counter"), Field("i16", "x")), "m", checksum="sum8")),
           FrameLayout(Frame("A5", (Field("u16", "y"),), "b", footer="0D"))]
 def said(decoder, pieces):

@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 import pyxdf
 
-from devices.lsl.network import Network, library
-from stream import cli
-from stream.engine.session import Session
-from stream.graph.load import load_text
-from stream.recording import Recording
+from kinegraph.devices.lsl.network import Network, library
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
 
 GRAPH = """
 name: walk
 nodes:
-  treadmill: {use: devices.simulators.treadmill.Treadmill, muscles: [TA, GM, SO], rate_hz: 2000, cadence_per_min: 120}
-  emg: {use: devices.outlets.lsl.LslOutlet, from: treadmill.emg, name: walk.emg, type: EMG}
-  contacts: {use: devices.outlets.lsl.LslOutlet, from: treadmill.touchdown, name: walk.touchdown}
-  force: {use: devices.outlets.lsl.LslOutlet, from: treadmill.force, name: walk.force}
+  treadmill: {use: devices.people.treadmill.Treadmill, muscles: [TA, GM, SO], rate_hz: 2000, cadence_per_min: 120}
+  emg: {use: devices.lsl.LslOutlet, from: treadmill.emg, name: walk.emg, type: EMG}
+  contacts: {use: devices.lsl.LslOutlet, from: treadmill.touchdown, name: walk.touchdown}
+  force: {use: devices.lsl.LslOutlet, from: treadmill.force, name: walk.force}
 """
 OUTLETS = ("emg", "touchdown", "force")
 SECONDS = 4.0

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.protocols import natnet as protocol
-from devices.protocols.natnet_build import build_frame
-from devices.simulators.natnet import NatNetScene, NatNetServer
+from kinegraph.devices.natnet import protocol as protocol
+from kinegraph.devices.natnet.build import build_frame
+from kinegraph.devices.natnet.simulator import NatNetScene, NatNetServer
 from tests.devices.test_natnet import CAPTURE
 
 natnet = pytest.importorskip("natnet")

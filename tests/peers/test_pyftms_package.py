@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import typing_extensions
 
-from devices.protocols import ftms
+from kinegraph.devices.fitness_treadmill import protocol as ftms
 
 
 def their_treadmill() -> Any:

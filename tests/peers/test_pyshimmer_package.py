@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.protocols import shimmer as protocol
-from devices.protocols import shimmer_units as units
-from devices.shimmer import Shimmer
-from devices.simulators.lines import line_at
-from devices.simulators.serve import Server
-from devices.simulators.shimmer import ShimmerModel
+from kinegraph.devices.shimmer import protocol as protocol
+from kinegraph.devices.shimmer import units as units
+from kinegraph.devices.shimmer.simulator import ShimmerModel
+from kinegraph.devices.shimmer.source import Shimmer
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.serve import Server
 from tests.support.device_feed import reading, wait_for
 
 PYTHON = os.environ.get("KINEGRAPH_PYSHIMMER", sys.executable)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from devices.protocols import qualisys as protocol
-from devices.simulators.qualisys import QualisysServer
+from kinegraph.devices.qualisys import protocol as protocol
+from kinegraph.devices.qualisys.simulator import QualisysServer
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.vmc import VmcOutlet
-from devices.simulators.performer import true_pose
-from stream.chunk import Chunk, StreamSpec
-from stream.humanoid import BONES, usual_body
+from kinegraph.devices.osc.vmc_outlet import VmcOutlet
+from kinegraph.devices.people.performer import true_pose
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES, usual_body
 
 RECEIVER = Path(__file__).with_name("vmcp_receiver.py")
 TREE = usual_body()

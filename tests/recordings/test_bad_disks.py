@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.graph import RecordingOptions
-from stream.recording import Recorder, Recording
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder, Recording
 from tests.support.command_line import GRAPH, QUIET, Command, refused
 from tests.support.disks import Disk
 
@@ -24,7 +24,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The recorder's disk takes 20 KB."""
     Disk(20_000).put_in(monkeypatch)
     for module in ("recorder", "record_writer"):
-        monkeypatch.setattr(f"stream.recording.{module}.GRACE_S", 0.2)
+        monkeypatch.setattr(f"kinegraph.stream.recording.{module}.GRACE_S", 0.2)
     yield
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from stream.recording import Recording
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command, refused
 
 

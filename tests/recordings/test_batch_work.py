@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from stream.graph import RecordingOptions
-from stream.recording import Recorder
-from stream.stalls import let_others_go_on
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder
+from kinegraph.stream.system.stalls import let_others_go_on
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="only Linux can be told so")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from stream.recording import Recording
+from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command, kinegraph, refused
 
 __all__ = ["kinegraph"]
@@ -59,9 +59,9 @@ def test_every_new_name_is_one_of_today() -> None:
 @pytest.mark.parametrize(
     ("before", "after"),
     [
-        ("use: devices.treadmill.Treadmill", "use: devices.simulators.treadmill.Treadmill"),
-        ("use: devices.simulators.treadmill.Treadmill", "use: devices.simulators.treadmill.Treadmill"),
-        ("{use: devices.lsl.LslOutlet, from: a}", "{use: devices.outlets.lsl.LslOutlet, from: a}"),
+        ("use: devices.treadmill.Treadmill", "use: devices.people.treadmill.Treadmill"),
+        ("use: devices.people.treadmill.Treadmill", "use: devices.people.treadmill.Treadmill"),
+        ("{use: devices.lsl.LslOutlet, from: a}", "{use: devices.lsl.LslOutlet, from: a}"),
         ("use: my.devices.report.Mine", "use: my.devices.report.Mine"),
     ],
 )

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from stream.chunk import StreamSpec
-from stream.errors import RecordingError
-from stream.recording.image import (
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording.format.image import (
     decode_image,
     descriptor,
     encode_image,

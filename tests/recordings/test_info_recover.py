@@ -11,13 +11,13 @@ import pytest
 from mcap.reader import make_reader
 from rich.console import Console
 
-from stream import cli
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.commands.info import _show
-from stream.errors import RecordingError
-from stream.graph import RecordingOptions
-from stream.operator import grid
-from stream.recording import Recorder, Recording
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.cli.commands.info import _show
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recorder, Recording
 from tests.recordings.test_recording import assert_recorded, killed
 from tests.support.convert_run import kinegraph
 

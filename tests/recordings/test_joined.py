@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stream.chunk import NS, Chunk, StreamSpec, add_lost
-from stream.graph import RecordingOptions
-from stream.recording import Recorder, Recording
-from stream.recording.joined import joinable, joined
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, add_lost
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder, Recording
+from kinegraph.stream.recording.read.joined import joinable, joined
 
 MARK = np.dtype([("onset", "<i8"), ("text", "U8")])
 SPECS = {

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.recording import Recording
-from stream.recording.checkpoint import Checkpoint
-from stream.recording.missing import Missing
-from stream.recording.records import RecordFile
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format.checkpoint import Checkpoint
+from kinegraph.stream.recording.read.missing import Missing
+from kinegraph.stream.recording.read.records import RecordFile
 from tests.recordings.test_recording import START, killed, record, session
 from tests.support.command_line import Command, refused
 
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 60}
-  rect: {use: operators.rectify.Rectify, from: board.emg}
+  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 60}
+  rect: {use: operators.filters.rectify.Rectify, from: board.emg}
 record: [rect]
 recording: {flush_s: 0.1}
 """
@@ -152,9 +152,9 @@ def test_nothing_but_files_that_were_begun_is_said(held: int, kinegraph: Command
 
 def resume(folder: Path, ends: dict[str, int], sequence: int) -> None:
     """A further part, which goes on where the first one ends, as a resumed session writes it."""
-    from stream.chunk import Chunk
-    from stream.graph import RecordingOptions
-    from stream.recording import Recorder
+    from kinegraph.stream.chunk import Chunk
+    from kinegraph.stream.graph import RecordingOptions
+    from kinegraph.stream.recording import Recorder
     from tests.recordings.test_recording import SPECS
 
     with Recorder(folder, {}, RecordingOptions(), wait=True, resume=True) as recorder:

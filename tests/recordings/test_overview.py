@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from devices.outlets.page.pyramid import Pyramid
-from devices.outlets.page.viewing import RecordingHub
-from stream.chunk import NS, Chunk, StreamSpec, grid
-from stream.graph import RecordingOptions
-from stream.recording import Recorder, Recording
-from stream.recording.format import HEAD
-from stream.recording.overview import MOST_GAPS, OverviewWriter, unpack, width_of
-from stream.recording.records import DAMAGE
-from stream.recording.recover import rewrite
+from kinegraph.devices.page.recorded.pyramid import Pyramid
+from kinegraph.devices.page.recorded.viewing import RecordingHub
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, grid
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder, Recording
+from kinegraph.stream.recording.format.layout import HEAD
+from kinegraph.stream.recording.format.overview import MOST_GAPS, OverviewWriter, unpack, width_of
+from kinegraph.stream.recording.read.records import DAMAGE
+from kinegraph.stream.recording.recover import rewrite
 
 RATE_HZ, SECONDS = 500.0, 30
 SPEC = StreamSpec((3,), rate_hz=RATE_HZ, channels=("a", "b", "c"), units=("uV",))

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from stream.chunk import FOREVER, Chunk, StreamSpec, empty
-from stream.errors import RecordingError
-from stream.graph import RecordingOptions
-from stream.operator import grid
-from stream.recording import Recorder, Recording
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec, empty
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recorder, Recording
 
 EMG = StreamSpec((3,), np.dtype(np.float32), 1000.0, ("TA", "GM", "SOL"), ("uV",), meta={"site": "right leg"})
 STEP = StreamSpec((), np.dtype([("onset", "<i8"), ("name", "<U8")]), units=("ns", ""))
@@ -201,7 +201,7 @@ def test_a_place_is_taken_once(tmp_path: Path) -> None:
 
 
 def test_a_part_ends_before_its_index_fills_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stream.recording.file_segments.MOST_SAVES", 3)
+    monkeypatch.setattr("kinegraph.stream.recording.write.file_segments.MOST_SAVES", 3)
     made = session(seconds=4.0)
     record(tmp_path / "s", made, wait=False, pause=0.02, flush_s=0.0, gather_s=0.005).close()
     assert len(list((tmp_path / "s").glob("*.mcap"))) > 2
@@ -212,7 +212,7 @@ def test_a_session_that_outruns_the_clock_begins_a_file_every_quarter_of_an_hour
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else the overviews of ten hours that pass in minutes would stand in memory."""
-    monkeypatch.setattr("stream.recording.file_segments.MOST_S", 1.0)
+    monkeypatch.setattr("kinegraph.stream.recording.write.file_segments.MOST_S", 1.0)
     made = session(seconds=4.0)
     record(tmp_path / "live", made, wait=False, pause=0.02, flush_s=0.0, gather_s=0.005).close()
     assert len(list((tmp_path / "live").glob("*.mcap"))) > 2

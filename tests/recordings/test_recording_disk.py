@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream.chunk import Chunk, StreamSpec
-from stream.errors import RecordingError
-from stream.graph import RecordingOptions
-from stream.operator import grid
-from stream.recording import Recorder, Recording
-from stream.recording.quota import keep_quota
-from stream.recording.record_writer import RecordWriter
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recorder, Recording
+from kinegraph.stream.recording.write.quota import keep_quota
+from kinegraph.stream.recording.write.record_writer import RecordWriter
 from tests.recordings.test_recording import START, assert_recorded, record, same, session
 from tests.support.disks import Disk
 
@@ -132,7 +132,7 @@ def test_a_full_disk_and_full_memory_drop_and_count(tmp_path: Path, disk: Disk) 
 def test_closing_on_a_disk_that_stays_full_ends_and_leaves_a_readable_file(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stream.recording.record_writer.GRACE_S", 0.3)
+    monkeypatch.setattr("kinegraph.stream.recording.write.record_writer.GRACE_S", 0.3)
     disk.room = 20_000
     recorder = counted_recorder(tmp_path / "s")
     feed(recorder, 0, 20, pause=0.01)
@@ -209,11 +209,11 @@ def test_a_session_without_live_sources_waits_for_a_slow_disk(tmp_path: Path, di
 
 
 def test_only_a_session_without_live_sources_has_a_recorder_that_waits(tmp_path: Path) -> None:
-    from stream.engine.session import Session
-    from stream.graph.load import load_text
+    from kinegraph.stream.engine.session import Session
+    from kinegraph.stream.graph.reading.load import load_text
 
     for realtime in (False, True):
-        text = f"nodes:\n  board: {{use: devices.simulators.treadmill.Treadmill, realtime: {str(realtime).lower()}, duration_s: 1}}\n"
+        text = f"nodes:\n  board: {{use: devices.people.treadmill.Treadmill, realtime: {str(realtime).lower()}, duration_s: 1}}\n"
         session = Session(load_text(text), tmp_path / str(realtime))
         session.log.open()
         recorder = session.log.recorder

@@ -11,13 +11,13 @@ import pytest
 import zstandard
 from mcap.reader import make_reader
 
-from stream import cli
-from stream.chunk import FOREVER, Chunk, StreamSpec, empty
-from stream.errors import RecordingError
-from stream.graph import RecordingOptions
-from stream.operator import grid
-from stream.recording import Recorder, Recording
-from stream.recording.packed import Packer, unpack
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec, empty
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recorder, Recording
+from kinegraph.stream.recording.format.packed import Packer, unpack
 from tests.recordings.test_recording import START, same
 
 DEPTH = StreamSpec((48, 64), np.dtype(np.uint16), 30.0, units=("mm",))

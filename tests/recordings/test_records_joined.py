@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType
 
-import stream.recording.file_segment as module
-from stream.chunk import StreamSpec
-from stream.recording.format import LOG
+import kinegraph.stream.recording.write.file_segment as module
+from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.recording.format.layout import LOG
 
 
 def written(path: Path, *, live: bool) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from stream.recording.place import parts_of
+from kinegraph.stream.recording.format.paths import parts_of
 from tests.engine.test_crash import GRAPH, SUPPORT, end, kill, live
 from tests.support.mosquitto import eventually
 

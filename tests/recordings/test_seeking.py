@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.chunk import Chunk, StreamSpec
-from stream.graph import RecordingOptions
-from stream.recording import Recorder, Recording
-from stream.recording.format import table
-from stream.recording.recorded_file import RecordedFile
-from stream.recording.seeking import chunk_at, chunk_before
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.graph import RecordingOptions
+from kinegraph.stream.recording import Recorder, Recording
+from kinegraph.stream.recording.format.layout import table
+from kinegraph.stream.recording.read.recorded_file import RecordedFile
+from kinegraph.stream.recording.read.seeking import chunk_at, chunk_before
 
 PER, STEP_NS = 5, 10**7
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stream.arrays import series
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.series import Series
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.data.arrays import series
+from kinegraph.stream.data.series import Series
 
 SPEC = StreamSpec((2,), rate_hz=10.0)
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream.graph import Edge
-from stream.graph.load import load
-from stream.graph.overrides import read
-from stream.source import Source
+from kinegraph.stream.graph import Edge
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.graph.reading.overrides import read
+from kinegraph.stream.source import Source
 from tests.soak.faults import KINDS, drawn
 from tests.soak.growth import growth
 from tests.soak.happening import soak
@@ -105,7 +105,7 @@ def test_a_file_that_stays_open_is_a_leak_and_one_for_a_moment_is_none(leak: int
 
 def test_a_page_whose_session_was_killed_says_nothing_of_it() -> None:
     """Killed between a message to the page's server and its answer: a traceback stood in the log."""
-    code = "import sys; from devices.outlets.page.server import say; say({'do': 'want'}); print('went on', file=sys.stderr)"
+    code = "import sys; from kinegraph.devices.page.server import say; say({'do': 'want'}); print('went on', file=sys.stderr)"
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60)

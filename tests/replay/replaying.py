@@ -12,11 +12,11 @@ import numpy as np
 from scipy.signal import butter, sosfilt, sosfiltfilt, welch
 
 import kinegraph as kg
-from devices.simulators.bedroom import Bedroom, Extras, prepare
-from devices.simulators.night import NightPlan, plan
-from devices.simulators.rendered_performer import RenderedPerformer
-from stream.chunk import NS, Array
-from stream.recording.series import write_recording
+from kinegraph.devices.people.bedroom import Bedroom, Extras, prepare
+from kinegraph.devices.people.night import NightPlan, plan
+from kinegraph.devices.people.rendered_performer import RenderedPerformer
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.recording.series import write_recording
 from tests.support.real import real_arrays
 
 ONSET = np.dtype([("onset", "<i8")])

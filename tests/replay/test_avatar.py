@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from devices.simulators.rendered_performer import EMPTY_S, POINTS
-from stream.chunk import NS
+from kinegraph.devices.people.rendered_performer import EMPTY_S, POINTS
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import CAMERA_HZ, no_images, performance, signal
 
 DEPTH, JOINTS = performance(6.0)

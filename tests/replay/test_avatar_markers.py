@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from stream.chunk import NS, Array
+from kinegraph.stream.chunk import NS, Array
 from tests.replay.replaying import cmu_joints, signal
 
 GRAPH = kg.load("avatar_markers")

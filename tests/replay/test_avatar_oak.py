@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from devices.simulators.rendered_performer import EMPTY_S, POINTS
-from stream.chunk import NS
+from kinegraph.devices.people.rendered_performer import EMPTY_S, POINTS
+from kinegraph.stream.chunk import NS
 from tests.devices.test_oak_network import HEAD, archive, config
 from tests.replay.replaying import CAMERA_HZ, performance, signal
 

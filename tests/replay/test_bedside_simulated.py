@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from stream.chunk import NS
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import NIGHT_HZ, bedroom_night, signal
 
 FRAMES, (NIGHT,) = bedroom_night(1, 36, 24)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from devices.simulators.night import NightPlan
-from stream.chunk import NS
+from kinegraph.devices.people.night import NightPlan
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import NIGHT_HZ, bedroom_night, pressed, recording, signal
 
 FRAMES, NIGHTS = bedroom_night(2, 36, 14)

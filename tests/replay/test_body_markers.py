@@ -15,8 +15,8 @@ import pytest
 from ruamel.yaml import YAML
 
 import kinegraph as kg
-from devices.simulators.rendered_performer import AWAY_M, EMPTY_S, HEIGHT_M, POINTS
-from stream.chunk import NS
+from kinegraph.devices.people.rendered_performer import AWAY_M, EMPTY_S, HEIGHT_M, POINTS
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import CAMERA_HZ, performance, signal
 
 DEPTH, JOINTS = performance(6.0)

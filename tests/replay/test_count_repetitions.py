@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from stream.chunk import NS, Array
+from kinegraph.stream.chunk import NS, Array
 from tests.replay.replaying import TURNING, WALKING, pocket_walks, signal, steps_per_s
 
 PEOPLE = pytest.mark.parametrize("person", ["s01", "s04"])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from devices.simulators.rendered_performer import AWAY_M, EMPTY_S, WALL_M, RenderedPerformer
+from kinegraph.devices.people.rendered_performer import AWAY_M, EMPTY_S, WALL_M, RenderedPerformer
 from tests.replay.replaying import signal
 
 RATE = 5.0

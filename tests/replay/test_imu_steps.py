@@ -12,8 +12,8 @@ import pytest
 from scipy.signal import find_peaks
 
 import kinegraph as kg
-from devices.simulators.walking_limb import Limb
-from stream.chunk import NS, Array
+from kinegraph.devices.people.walking_limb import Limb
+from kinegraph.stream.chunk import NS, Array
 from tests.replay.replaying import signal
 
 RATE, SAMPLES = 100.0, 2000

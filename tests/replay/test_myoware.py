@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from stream.chunk import NS
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import at, emg_envelope, signal
 from tests.support.real import real_arrays
 

@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import kinegraph as kg
-from stream.chunk import NS, Array
+from kinegraph.stream.chunk import NS, Array
 from tests.replay.replaying import at, signal
 from tests.support.real import real_arrays
 

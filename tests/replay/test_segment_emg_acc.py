@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from stream.chunk import NS, Array
+from kinegraph.stream.chunk import NS, Array
 from tests.replay.replaying import evenly, signal
 from tests.support.real import real_arrays
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from stream.chunk import NS, Array
+from kinegraph.stream.chunk import NS, Array
 from tests.replay.replaying import TURNING, WALKING, evenly, pocket_walks, signal, steps_per_s
 
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")

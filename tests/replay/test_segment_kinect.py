@@ -12,7 +12,7 @@ import pytest
 from sklearn.metrics import adjusted_rand_score
 
 import kinegraph as kg
-from stream.chunk import NS
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import cmu_joints, signal
 from tests.support.real import real_arrays
 

@@ -14,7 +14,7 @@ import pytest
 from sklearn.metrics import adjusted_rand_score
 
 import kinegraph as kg
-from stream.chunk import NS, Array
+from kinegraph.stream.chunk import NS, Array
 from tests.replay.replaying import signal
 from tests.support.real import real_arrays
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from devices.simulators.walking_limb import Limb
-from stream.chunk import NS
+from kinegraph.devices.people.walking_limb import Limb
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import at, emg_envelope, evenly, highpassed, signal
 from tests.support.real import real_arrays
 

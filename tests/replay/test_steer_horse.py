@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from devices.simulators.quadruped import LEGS, TwoActors, marked
+from kinegraph.devices.people.quadruped import LEGS, TwoActors, marked
 from tests.replay.replaying import signal
 
 GRAPH = kg.load("steer_horse")

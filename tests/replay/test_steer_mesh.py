@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from devices.simulators.quadruped import marked, walking
+from kinegraph.devices.people.quadruped import marked, walking
 from tests.replay.replaying import signal
 
 RATE, STRIDE_S = 30.0, 1.2

@@ -16,8 +16,8 @@ import pytest
 from ruamel.yaml import YAML
 
 import kinegraph as kg
-from devices.simulators.walking_back import Back
-from stream.chunk import NS
+from kinegraph.devices.people.walking_back import Back
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import TURNING, WALKING, pocket_walks, signal, steps_per_s
 
 AXES = ("ax", "ay", "az", "gx", "gy", "gz")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from devices.simulators.treadmill import Treadmill
-from devices.simulators.treadmill.both_legs import plates
-from stream.chunk import NS, Array
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.devices.people.treadmill.both_legs import plates
+from kinegraph.stream.chunk import NS, Array
 from tests.replay.replaying import at, emg_envelope, signal
 
 GRAPH = kg.load("treadmill_both_legs")

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 import kinegraph as kg
-from devices.files.column_table import Wishes
-from devices.files.importer import read_files
-from stream.chunk import NS
+from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.importer import read_files
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import at, emg_envelope, highpassed, signal
 from tests.support.real import real_file
 

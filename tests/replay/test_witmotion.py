@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import butter, sosfilt, sosfiltfilt
 
 import kinegraph as kg
-from stream.chunk import NS
+from kinegraph.stream.chunk import NS
 from tests.replay.replaying import at, evenly, pocket_walks, signal
 
 RATE = 100.0

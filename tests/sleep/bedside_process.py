@@ -10,9 +10,9 @@ import sys
 import time
 from pathlib import Path
 
-from stream.commands import logs
-from stream.engine.session import Session
-from stream.graph.load import load
+from kinegraph.stream.cli.commands import logs
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load
 
 HOUR_NS = 3_600_000_000_000
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from bench.pictures import face
-from operators.depth.regions import REGION, region_spec
-from stream.chunk import NS, Array, Chunk, Specs, StreamSpec
-from stream.conformance.case_samples import tapes_of
-from stream.conformance.cut import whole
-from stream.conformance.play import Player
-from stream.operator import Case, Operator
-from stream.source import Feed, Source
+from kinegraph.operators.bed.frames.regions import REGION, region_spec
+from kinegraph.stream.chunk import NS, Array, Chunk, Specs, StreamSpec
+from kinegraph.stream.laws.case_samples import tapes_of
+from kinegraph.stream.laws.chunking import whole
+from kinegraph.stream.laws.play import Player
+from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.source import Feed, Source
 
 BLOCK = 8
 META = {"simplified": {"block": BLOCK, "components": 1}}

@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from devices.oak.adapter import Frames, Message
-from devices.simulators.bedroom import Bedroom
-from devices.simulators.bedside import Bedside
-from stream.chunk import NS, Array, Specs, empty
-from stream.errors import DeviceError
-from stream.source import Feed, Source
+from kinegraph.devices.oak.adapter import Frames, Message
+from kinegraph.devices.people.bedroom import Bedroom
+from kinegraph.devices.people.bedside import Bedside
+from kinegraph.stream.chunk import NS, Array, Specs, empty
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.source import Feed, Source
 
 BEGUN = 1_772_395_200 * NS
 """2026-03-01T20:00:00Z."""

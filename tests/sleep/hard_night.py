@@ -17,11 +17,11 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from devices.outlets.night import archive
-from devices.simulators.bedside import Bedside
-from stream.chunk import NS, Chunk, empty
-from stream.params import param
-from stream.source import Feed
+from kinegraph.devices.people.bedside import Bedside
+from kinegraph.devices.reports.night import archive
+from kinegraph.stream.chunk import NS, Chunk, empty
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed
 from tests.support.rendered_room import Renderer, Scene
 
 CLOCKS = (
@@ -39,18 +39,18 @@ record: [presence, activity, activity.epochs]
 recording: {folder: recordings, rolling: true, rotate_mb: 0.02, flush_s: 0.2}
 nodes:
   camera: {use: tests.sleep.hard_night.HardRoom, width: 192, height: 144, fps: FPS, seed: SEED, begun_ns: BEGUN}
-  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
-  view: {use: operators.depth.view.View, from: simplify.blocks}
-  bed: {use: operators.depth.bed.BedRegion, from: {view: view, in: simplify.blocks}}
-  presence: {use: operators.depth.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
-  motion: {use: operators.depth.motion.Motion, from: {regions: bed, frames: simplify, scene: simplify.scene}}
-  activity: {use: operators.depth.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
-  breathing: {use: operators.depth.breathing.Breathing, from: {regions: bed, bed: presence, blocks: simplify.blocks}}
+  simplify: {use: operators.bed.frames.simplify.Simplify, from: camera.depth}
+  view: {use: operators.bed.frames.view.View, from: simplify.blocks}
+  bed: {use: operators.bed.bed.BedRegion, from: {view: view, in: simplify.blocks}}
+  presence: {use: operators.bed.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
+  motion: {use: operators.bed.motion.Motion, from: {regions: bed, frames: simplify, scene: simplify.scene}}
+  activity: {use: operators.bed.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
+  breathing: {use: operators.bed.breathing.Breathing, from: {regions: bed, bed: presence, blocks: simplify.blocks}}
   scorer: {use: operators.sleep.scorer.SleepScorer, from: {in: activity, seen: activity.epochs}}
   nights: {use: operators.sleep.nights.Nights, from: {bed: presence}, shortest_h: 0.3}
   statistics: {use: operators.sleep.statistics.SleepStatistics, from: {epochs: scorer, periods: nights}}
   log:
-    use: devices.outlets.night.NightLog
+    use: devices.reports.night.NightLog
     from: {epochs: scorer, nights: statistics, bed: presence, seen: activity.epochs, breathing: breathing, view: view}
     path: nights
     timezone: ZONE
@@ -179,9 +179,9 @@ def _started(config: Path, now: int, *options: str) -> subprocess.Popen[bytes]:
 
 
 def main() -> None:
-    from stream.commands import logs
-    from stream.engine.session import Session
-    from stream.graph.load import load
+    from kinegraph.stream.cli.commands import logs
+    from kinegraph.stream.engine.session import Session
+    from kinegraph.stream.graph.reading.load import load
 
     config, folder, *options = sys.argv[1:]
     wall, off = time.time_ns, json.loads(Path(config).with_name("clock").read_text())

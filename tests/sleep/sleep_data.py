@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
-from stream.conformance.case_samples import tapes_of
-from stream.conformance.cut import whole
-from stream.conformance.play import Player
-from stream.operator import Case, Operator
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from kinegraph.stream.laws.case_samples import tapes_of
+from kinegraph.stream.laws.chunking import whole
+from kinegraph.stream.laws.play import Player
+from kinegraph.stream.operator import Case, Operator
 
 DATA = os.environ.get("KINEGRAPH_DATA", "")
 

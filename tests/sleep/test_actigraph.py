@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.simulators.actigraph import Actigraph, ActigraphNight
-from operators.sleep.evaluation.reference import read_hypnogram
+from kinegraph.devices.people.actigraph import Actigraph, ActigraphNight
+from kinegraph.operators.sleep.evaluation.reference import read_hypnogram
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "actigraphy_sleep.yaml"
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from bench.bedside import START, Run, graph, hypnograms, kappa, night
-from devices.simulators.bedroom import BED_MM, FLOOR_MM, Bedroom, Extras
-from devices.simulators.bedside import Bedside, read_stages
-from devices.simulators.night import EPOCH_S, made_up, plan
-from stream.chunk import NS
-from stream.errors import ParameterError
+from kinegraph.devices.people.bedroom import BED_MM, FLOOR_MM, Bedroom, Extras
+from kinegraph.devices.people.bedside import Bedside, read_stages
+from kinegraph.devices.people.night import EPOCH_S, made_up, plan
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import ParameterError
 from tests.support.real import needs_data
 
 SMALL = {"width": 96, "height": 72}

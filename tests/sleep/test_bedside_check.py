@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.depth.setup.judgement import Minute, judge
+from kinegraph.operators.bed.setup.judgement import Minute, judge
 from tests.support.command_line import Command, kinegraph, refused
 
 __all__ = ["kinegraph"]

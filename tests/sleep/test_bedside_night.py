@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from devices.outlets.night import archive
-from stream.chunk import NS, utc
-from stream.graph.load import read_expanded
+from kinegraph.devices.reports.night import archive
+from kinegraph.stream.chunk import NS, utc
+from kinegraph.stream.graph.reading.load import read_expanded
 from tests.support import home_assistant
 from tests.support.mosquitto import Listener, broker, listening
 
@@ -37,7 +37,7 @@ def night(folder: Path, port: int, **camera: Any) -> Path:
         del nodes[name]
     now = datetime.now(UTC)
     nodes["camera"] = {
-        "use": "devices.simulators.bedside.Bedside", "bed_h": BED_H, "fps": 1 if BED_H < 2 else 2, "evening_min": 4, "morning_min": 4,
+        "use": "devices.people.bedside.Bedside", "bed_h": BED_H, "fps": 1 if BED_H < 2 else 2, "evening_min": 4, "morning_min": 4,
         "exits": 1, "seed": 3, "evening": f"{now:%H:%M}", "faults": [["gone", *GONE_S]], **camera,
     }  # fmt: skip
     nodes["bedside.simplify"] |= {"from": "camera.depth", "learn_s": 60}

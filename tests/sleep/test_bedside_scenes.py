@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from bench.bedside import START, Run
-from operators.depth.view import VIEW, View
-from stream.chunk import NS, Array
-from stream.graph.load import load_text
-from stream.operator import grid
+from kinegraph.operators.bed.frames.view import VIEW, View
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.operator import grid
 from tests.sleep.depth_frames import blocks_spec, play
 from tests.support.rendered_room import RenderedRoom, Scene
 
 GRAPH = """
 nodes:
-  camera: {use: devices.simulators.bedside.Bedside, CAMERA}
-  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
-  view: {use: operators.depth.view.View, from: simplify.blocks}
-  bed: {use: operators.depth.bed.BedRegion, from: {view: view, in: simplify.blocks}, regions: REGIONS}
-  presence: {use: operators.depth.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
-  motion: {use: operators.depth.motion.Motion, from: {regions: bed, frames: simplify}}
-  activity: {use: operators.depth.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
+  camera: {use: devices.people.bedside.Bedside, CAMERA}
+  simplify: {use: operators.bed.frames.simplify.Simplify, from: camera.depth}
+  view: {use: operators.bed.frames.view.View, from: simplify.blocks}
+  bed: {use: operators.bed.bed.BedRegion, from: {view: view, in: simplify.blocks}, regions: REGIONS}
+  presence: {use: operators.bed.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
+  motion: {use: operators.bed.motion.Motion, from: {regions: bed, frames: simplify}}
+  activity: {use: operators.bed.activity.Activity, from: {view: view, bed: presence, far: motion.far, motion: motion}}
   scorer: {use: operators.sleep.scorer.SleepScorer, from: {in: activity, seen: activity.epochs}}
 """
 IN, MOVES = ((120.0, 2700.0),), (400.0, 1000.0, 1900.0, 2300.0)

@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from bench.bedside import KEPT, RAW, START, Agreement, Run, agreement, graph
-from devices.oak.adapter import Frames, Message
-from devices.outlets.night import archive
-from devices.outlets.night.numbers import quality
-from devices.simulators.bedside import Bedside
-from devices.simulators.night import EPOCH_S
-from stream.chunk import NS, Array
-from stream.engine import supervisor
-from stream.engine.session import Session
-from stream.engine.status import Outcome
-from stream.errors import GraphError
-from stream.graph.load import load
-from stream.operator import grid
+from kinegraph.devices.oak.adapter import Frames, Message
+from kinegraph.devices.people.bedside import Bedside
+from kinegraph.devices.people.night import EPOCH_S
+from kinegraph.devices.reports.night import archive
+from kinegraph.devices.reports.night.numbers import quality
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.engine import supervisor
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.status import Outcome
+from kinegraph.stream.errors import GraphError
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.operator import grid
 from tests.sleep.depth_frames import frames_spec
 from tests.sleep.failing_camera import BEGUN, FailingCamera
 
@@ -34,7 +34,7 @@ NIGHT = """
   nights: {use: operators.sleep.nights.Nights, from: {bed: presence}, shortest_h: 0.1}
   statistics: {use: operators.sleep.statistics.SleepStatistics, from: {epochs: scorer, periods: nights}}
   log:
-    use: devices.outlets.night.NightLog
+    use: devices.reports.night.NightLog
     from: {epochs: scorer, nights: statistics, bed: presence, seen: activity.epochs}
     path: PATH
     timezone: UTC

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth.activity import EPOCH_SEEN
-from operators.depth.bed import BedRegion
-from operators.depth.motion import LONGEST_EPOCH, Motion, map_of
-from operators.depth.night_map import NightMap
-from operators.depth.simplify import SCENE
-from stream.chunk import NS, Array, Chunk, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import grid
+from kinegraph.operators.bed.activity import EPOCH_SEEN
+from kinegraph.operators.bed.bed import BedRegion
+from kinegraph.operators.bed.frames.simplify import SCENE
+from kinegraph.operators.bed.motion import LONGEST_EPOCH, Motion, map_of
+from kinegraph.operators.bed.night_map import NightMap
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.sleep.depth_frames import META, blocks_spec, frames_spec, play, regions
 
 SPEC = frames_spec(24, 32, 10.0)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth.activity import Activity
-from operators.depth.bed_events import BED
-from operators.depth.breathing import Breathing
-from operators.depth.presence import Presence
-from operators.depth.view import VIEW
-from operators.sleep.scorer import SleepScorer
-from stream.chunk import NS, Array, StreamSpec
-from stream.errors import InputError
-from stream.operator import grid
+from kinegraph.operators.bed.activity import Activity
+from kinegraph.operators.bed.bed_events import BED
+from kinegraph.operators.bed.breathing import Breathing
+from kinegraph.operators.bed.frames.view import VIEW
+from kinegraph.operators.bed.presence import Presence
+from kinegraph.operators.sleep.scorer import SleepScorer
+from kinegraph.stream.chunk import NS, Array, StreamSpec
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import grid
 from tests.sleep.depth_frames import blocks_spec, frames_spec, play, regions
 
 RATE = 4.0

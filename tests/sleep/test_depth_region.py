@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth.region import RegionDepth
-from stream.chunk import Chunk, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import grid
+from kinegraph.operators.bed.frames.region import RegionDepth
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 
 SPEC = StreamSpec((20, 30), np.dtype(np.uint16), 30.0, units=("mm",))
 

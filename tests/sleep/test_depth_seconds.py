@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth.seconds import add, close, look
-from operators.depth.view import RECENT, View
-from stream.chunk import Chunk, StreamSpec
-from stream.operator import grid
+from kinegraph.operators.bed.frames.seconds import add, close, look
+from kinegraph.operators.bed.frames.view import RECENT, View
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.operator import grid
 
 
 @pytest.mark.parametrize("seen", [0.1, 0.4, 1.0])

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from bench.pictures import face
-from operators.depth.blocks import left_over
-from operators.depth.simplify import Simplify
-from stream.chunk import NS, Array, Chunk
-from stream.engine.session import Session
-from stream.errors import InputError, ParameterError
-from stream.graph.load import load_text
-from stream.operator import grid
-from stream.recording import Recording
-from stream.recording.checkpoint import Checkpoint
+from kinegraph.operators.bed.frames.blocks import left_over
+from kinegraph.operators.bed.frames.simplify import Simplify
+from kinegraph.stream.chunk import NS, Array, Chunk
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.operator import grid
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format.checkpoint import Checkpoint
 from tests.sleep.depth_frames import Faces, blocks_spec, finer, frames_spec, in_blocks, play
 
 RAW = frames_spec(48, 64, simplified=False)
@@ -121,10 +121,10 @@ record: [simplify, simplify.blocks, motion, motion.map, presence.height]
 checkpoint_s: 0.1
 nodes:
   camera: {use: depth_frames.Faces}
-  simplify: {use: operators.depth.simplify.Simplify, from: camera}
-  bed: {use: operators.depth.bed.BedRegion, from: simplify.blocks, regions: [[0, 0, 48, 64]]}
-  presence: {use: operators.depth.presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
-  motion: {use: operators.depth.motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}, epoch_s: 1.0}
+  simplify: {use: operators.bed.frames.simplify.Simplify, from: camera}
+  bed: {use: operators.bed.bed.BedRegion, from: simplify.blocks, regions: [[0, 0, 48, 64]]}
+  presence: {use: operators.bed.presence.Presence, from: {regions: bed, blocks: simplify.blocks}}
+  motion: {use: operators.bed.motion.Motion, from: {scene: simplify.scene, regions: bed, frames: simplify}, epoch_s: 1.0}
 """
 
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.sleep.evaluation.checklist import NOT_GIVEN, STUDY, Evaluated, checklist
-from operators.sleep.evaluation.command import sleep
-from operators.sleep.evaluation.comparison import Pair, pair
-from operators.sleep.evaluation.persons import METRICS, by_person, normality, spread, trend
-from operators.sleep.evaluation.reference import Hypnogram
-from stream.chunk import NS
-from stream.errors import KinegraphError
-from stream.sheet import sheet_text
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE
+from kinegraph.operators.sleep.evaluation.checklist import NOT_GIVEN, STUDY, Evaluated, checklist
+from kinegraph.operators.sleep.evaluation.command import sleep
+from kinegraph.operators.sleep.evaluation.comparison import Pair, pair
+from kinegraph.operators.sleep.evaluation.persons import METRICS, by_person, normality, spread, trend
+from kinegraph.operators.sleep.evaluation.reference import Hypnogram
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.data.csv_writer import sheet_text
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE
+from kinegraph.stream.errors import KinegraphError
 
 
 def states(*counts: tuple[int, int]) -> Hypnogram:

@@ -10,15 +10,15 @@ import edfio
 import numpy as np
 import pytest
 
-from operators.sleep.evaluation import command
-from operators.sleep.evaluation.agreement import Confusion, interval, limits
-from operators.sleep.evaluation.command import _rows, sleep
-from operators.sleep.evaluation.comparison import agreement, pair, total
-from operators.sleep.evaluation.pictures import draw
-from operators.sleep.evaluation.reference import Hypnogram, read_hypnogram, stage
-from stream.chunk import NS, Array
-from stream.errors import KinegraphError
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE
+from kinegraph.operators.sleep.evaluation import command
+from kinegraph.operators.sleep.evaluation.agreement import Confusion, interval, limits
+from kinegraph.operators.sleep.evaluation.command import _rows, sleep
+from kinegraph.operators.sleep.evaluation.comparison import agreement, pair, total
+from kinegraph.operators.sleep.evaluation.pictures import draw
+from kinegraph.operators.sleep.evaluation.reference import Hypnogram, read_hypnogram, stage
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE
+from kinegraph.stream.errors import KinegraphError
 from tests.sleep.sleep_data import sleep_file
 from tests.support.real import needs_data
 

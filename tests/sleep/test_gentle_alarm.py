@@ -8,9 +8,9 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
-from operators.sleep.gentle_alarm import GentleAlarm
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.errors import ParameterError
+from kinegraph.operators.sleep.gentle_alarm import GentleAlarm
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.errors import ParameterError
 
 EPOCHS = np.dtype([("onset", "<i8"), ("sleeper", "U16"), ("moved_s", "<f8")])
 SPEC = StreamSpec((), EPOCHS, units=("ns", "", "s"))

@@ -15,8 +15,8 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from devices.outlets.night import archive
-from stream.chunk import NS
+from kinegraph.devices.reports.night import archive
+from kinegraph.stream.chunk import NS
 from tests.sleep.hard_night import Lived, live
 
 NIGHTS = int(os.environ.get("KINEGRAPH_NIGHTS", "1"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth.mattress import mattress, somebody
+from kinegraph.operators.bed.mattress import mattress, somebody
 
 
 @pytest.mark.parametrize(("down", "right"), [(0.0, 0.0), (4e-6, 0.0), (0.0, 6e-6), (-3e-6, 5e-6), (2e-6, -7e-6)])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.depth.noise import DECILE, EPOCHS, Noise
-from operators.depth.sleeper_activity import WHYS, ActivityLimits, SleeperActivity
+from kinegraph.operators.bed.frames.noise import DECILE, EPOCHS, Noise
+from kinegraph.operators.bed.sleeper_activity import WHYS, ActivityLimits, SleeperActivity
 
 
 def learned(levels: list[float], scatter: float = 0.1) -> Noise:

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from matplotlib.dates import num2date
 
-from devices.commands import nights as command
-from devices.outlets.night import archive, figures
-from devices.outlets.night.edf import write_edf
-from devices.outlets.night.numbers import quality, table
-from devices.outlets.night.page import line, render, title
-from stream.chunk import NS
+from kinegraph.devices.commands import nights as command
+from kinegraph.devices.reports.night import archive, figures
+from kinegraph.devices.reports.night.edf import write_edf
+from kinegraph.devices.reports.night.numbers import quality, table
+from kinegraph.devices.reports.night.page import line, render, title
+from kinegraph.stream.chunk import NS
 
 STEP = 30 * NS
 CHANGES = [

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 
-from devices.outlets.night import renderer
-from devices.outlets.night.renderer import ReportRenderer
-from stream.errors import DeviceError
+from kinegraph.devices.reports.night import renderer
+from kinegraph.devices.reports.night.renderer import ReportRenderer
+from kinegraph.stream.errors import DeviceError
 
 
 class Failing:

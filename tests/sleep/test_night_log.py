@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from devices.outlets.night import archive
-from devices.outlets.night.numbers import quality, table
-from stream.chunk import NS
-from stream.clock import SessionClock
-from stream.errors import InputError, KinegraphError, ParameterError
+from kinegraph.devices.reports.night import archive
+from kinegraph.devices.reports.night.numbers import quality, table
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import InputError, KinegraphError, ParameterError
+from kinegraph.stream.system.clock import SessionClock
 from tests.support import night_made
 from tests.support.command_line import Command
 from tests.support.night_made import LATE, SPECS, Night, feed, logged, opened, states
@@ -221,7 +221,7 @@ def test_actigraphy_alone_makes_a_night(tmp_path: Path) -> None:
 def test_the_command_lists_draws_and_deletes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from stream.cli import call
+    from kinegraph.stream.cli.main import call
 
     def run(*words: str, code: int = 0) -> str:
         with pytest.raises(SystemExit) as ended:
@@ -247,7 +247,7 @@ def test_the_command_lists_draws_and_deletes(
 def test_a_night_that_cannot_be_read_can_be_deleted_and_is_forgotten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from devices.commands.nights import Action, nights
+    from kinegraph.devices.commands.nights import Action, nights
 
     for name, file in (("2025-01-01", archive.FACTS), ("2025-01-02", archive.EPOCHS), ("2025-01-03", archive.EPOCHS)):
         (tmp_path / name).mkdir()
@@ -294,7 +294,7 @@ def test_only_a_night_is_deleted(tmp_path: Path) -> None:
 def test_what_cannot_be_is_refused(
     tmp_path: Path, ports: tuple[str, ...], more: dict[str, Any], error: type[Exception]
 ) -> None:
-    from devices.outlets.night import NightLog
+    from kinegraph.devices.reports.night import NightLog
 
     given = {"path": str(tmp_path), **more}
     with pytest.raises(error):

@@ -12,11 +12,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from devices.outlets.night import archive, figures
-from devices.outlets.night.numbers import CAVEATS, begun_after, exits, quality, span, table, unseen
-from devices.outlets.night.page import draw, render
-from stream.chunk import NS
-from stream.errors import DeviceError
+from kinegraph.devices.reports.night import archive, figures
+from kinegraph.devices.reports.night.numbers import CAVEATS, begun_after, exits, quality, span, table, unseen
+from kinegraph.devices.reports.night.page import draw, render
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError
 from tests.support import night_made
 from tests.support.browser import Browser, needs_browser
 from tests.support.night_made import EVENING, SPECS, STEP, Night, feed, logged, opened, states
@@ -107,7 +107,7 @@ def test_edf_opens_in_other_programs(drawn: tuple[Path, Night]) -> None:
 
 
 def test_our_own_evaluation_reads_the_log_and_the_edf(drawn: tuple[Path, Night]) -> None:
-    from operators.sleep.evaluation.reference import read_hypnogram
+    from kinegraph.operators.sleep.evaluation.reference import read_hypnogram
 
     folder, _ = drawn
     of_csv, of_edf = read_hypnogram(folder / "epochs.csv"), read_hypnogram(folder / "hypnogram.edf")

@@ -10,12 +10,12 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
-from devices.outlets.night import archive, weeks, weeks_page
-from devices.outlets.night.archive import COLUMNS, EPOCHS, Facts, iso
-from devices.outlets.night.page import draw
-from devices.outlets.night.plain import headline, sentence
-from stream.chunk import NS
-from stream.time_text import hour_of_day
+from kinegraph.devices.reports.night import archive, weeks, weeks_page
+from kinegraph.devices.reports.night.archive import COLUMNS, EPOCHS, Facts, iso
+from kinegraph.devices.reports.night.page import draw
+from kinegraph.devices.reports.night.plain import headline, sentence
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.text.time_text import hour_of_day
 from tests.support.command_line import Command, refused
 
 ZONE = "Europe/Berlin"

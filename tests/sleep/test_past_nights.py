@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.past_nights import BINS, NightsFolder, PastNights
+from kinegraph.devices.reports.night.past_nights import BINS, NightsFolder, PastNights
 from tests.sleep.test_nights_weeks import fortnight, logged
 from tests.support.browser import needs_browser
 from tests.support.live_browser import LiveBrowser, live_browser
@@ -27,9 +27,9 @@ page:
     - {kind: weeks, of: [past, past.weeks], title: weeks, wide: 4}
     - {kind: weeks, of: [right, right.weeks], title: of somebody else}
 nodes:
-  treadmill: {use: devices.simulators.treadmill.Treadmill}
-  past: {use: devices.past_nights.PastNights, path: nights}
-  right: {use: devices.past_nights.PastNights, path: nights, sleeper: right}
+  treadmill: {use: devices.people.treadmill.Treadmill}
+  past: {use: devices.reports.night.past_nights.PastNights, path: nights}
+  right: {use: devices.reports.night.past_nights.PastNights, path: nights, sleeper: right}
 """
 LEFT, HEAD, LINE = 92, 18, 14
 

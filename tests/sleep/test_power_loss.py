@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devices.outlets.night import archive
-from stream.chunk import NS
+from kinegraph.devices.reports.night import archive
+from kinegraph.stream.chunk import NS
 from tests.sleep.hard_night import GRAPH, HardNight, Lived, _logged, _started
 from tests.sleep.logged_disk import after_power_loss, events
 from tests.sleep.test_hard_nights import check_report

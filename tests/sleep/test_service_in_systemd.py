@@ -20,7 +20,7 @@ import pytest
 
 HOUSE = Path(__file__).resolve().parents[2]
 CAMERA = """  camera:
-    use: devices.simulators.bedside.Bedside
+    use: devices.people.bedside.Bedside
     width: 320
     height: 200
     fps: 10
@@ -30,7 +30,7 @@ CAMERA = """  camera:
 """
 PROGRAM = """#!/bin/sh
 export PYTHONPATH=/house:/site LD_LIBRARY_PATH=/python/lib PYTHONDONTWRITEBYTECODE=1
-exec /python/bin/python3 -c 'from stream.cli import main; main()' "$@"
+exec /python/bin/python3 -c 'from kinegraph.stream.cli.main import main; main()' "$@"
 """
 USER = 990
 UNIT = "kinegraph-bedside"

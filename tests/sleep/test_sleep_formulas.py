@@ -8,10 +8,10 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from operators.sleep.epochs import Epochs
-from operators.sleep.methods import METHODS, MethodName, rule
-from operators.sleep.scorer import SleepScorer
-from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from kinegraph.operators.sleep.epochs import Epochs
+from kinegraph.operators.sleep.methods import METHODS, MethodName, rule
+from kinegraph.operators.sleep.scorer import SleepScorer
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
 from tests.sleep.sleep_data import final, run
 
 COLE = [106.0, 54.0, 58.0, 76.0, 230.0, 74.0, 67.0]

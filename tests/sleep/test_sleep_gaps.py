@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from operators.sleep.periods import EPOCH
-from operators.sleep.statistics import SleepStatistics
-from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
-from stream.engine.merge import Merge
+from kinegraph.operators.sleep.periods import EPOCH
+from kinegraph.operators.sleep.statistics import SleepStatistics
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from kinegraph.stream.engine.flow.merge import Merge
 
 START = 1_767_218_400 * NS  # 2025-12-31T22:00Z
 SPEC = StreamSpec((), EPOCH, units=("ns", "ns", "", "", "counts", "", ""), meta={"epoch_s": 60.0, "method": "oakley"})

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from operators.pause import Pause
-from operators.sleep.nights import Nights
-from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
-from stream.engine.merge import Merge
-from stream.errors import ParameterError
-from stream.operator import Operator
+from kinegraph.operators.sleep.nights import Nights
+from kinegraph.operators.timing.pause import Pause
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import Operator
 
 START = 1_767_218_400 * NS
 BED = np.dtype([("onset", "<i8"), ("sleeper", "U16"), ("state", "U7")])

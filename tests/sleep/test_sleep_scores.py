@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.sleep.rescoring import rescored, settled
-from operators.sleep.scorer import SleepScorer
-from stream.chunk import NS, Chunk, StreamSpec
-from stream.errors import InputError, KinegraphError, ParameterError
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE
+from kinegraph.operators.sleep.rescoring import rescored, settled
+from kinegraph.operators.sleep.scorer import SleepScorer
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE
+from kinegraph.stream.errors import InputError, KinegraphError, ParameterError
 from tests.sleep.depth_frames import play
 from tests.sleep.sleep_data import epochs_of, final, run, sleep_file
 from tests.support.real import needs_data

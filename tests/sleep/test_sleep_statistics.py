@@ -8,14 +8,14 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-import stream.sleep_night
-from operators.sleep.epochs import Epochs
-from operators.sleep.periods import SleepPeriods
-from operators.sleep.scorer import EPOCH, SleepScorer
-from operators.sleep.statistics import SleepStatistics
-from stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE, night
+import kinegraph.stream.domain.night
+from kinegraph.operators.sleep.epochs import Epochs
+from kinegraph.operators.sleep.periods import SleepPeriods
+from kinegraph.operators.sleep.scorer import EPOCH, SleepScorer
+from kinegraph.operators.sleep.statistics import SleepStatistics
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, StreamSpec
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE, night
+from kinegraph.stream.errors import InputError, ParameterError
 from tests.sleep.sleep_data import epochs_of, play, run, sleep_file, stamped
 from tests.support.real import needs_data
 
@@ -226,7 +226,7 @@ def test_an_epoch_of_which_too_little_was_seen_is_unknown() -> None:
 def test_who_never_lies_still_has_no_short_stillness(moving: list[float], fragmentation: float) -> None:
     """In minutes: the share with movement, and that of stillnesses of a minute at most among all of them."""
     states = np.full(8, SLEEP, np.int8)
-    given = stream.sleep_night._indices(states, np.array(moving), 1.0, "AASM", 0, 8)
+    given = kinegraph.stream.domain.night._indices(states, np.array(moving), 1.0, "AASM", 0, 8)
     assert given == (100 * sum(moving) / 8, fragmentation, fragmentation)
 
 

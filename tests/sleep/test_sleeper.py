@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from devices.simulators.sleeper import BED_MM, FLOOR_MM, Sleeper
+from kinegraph.devices.people.sleeper import BED_MM, FLOOR_MM, Sleeper
 
 SMALL = {"width": 96, "height": 72}
 

@@ -11,12 +11,12 @@ import pytest
 from ruamel.yaml import YAML
 
 from bench.bedside import START, Run, graph
-from devices.outlets.night import archive
-from devices.simulators.bedside import Bedside
-from devices.simulators.night import EPOCH_S, Act, NightPlan
-from stream.chunk import NS, Array
-from stream.engine.session import Session
-from stream.graph.load import load, read_expanded
+from kinegraph.devices.people.bedside import Bedside
+from kinegraph.devices.people.night import EPOCH_S, Act, NightPlan
+from kinegraph.devices.reports.night import archive
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load, read_expanded
 from tests.support.command_line import Command, kinegraph
 
 __all__ = ["kinegraph"]
@@ -25,11 +25,11 @@ FIRST_S, EVERY_S, MOVES = 600.0, 30.0, 100
 LIMBS = ("left arm", "right arm", "left leg", "right leg", "head")
 CHECKED = """
 nodes:
-  camera: {use: devices.simulators.bedside.Bedside, sleepers: 2, bed_h: 0.3, evening_min: 2, width: 192}
-  simplify: {use: operators.depth.simplify.Simplify, from: camera.depth}
-  view: {use: operators.depth.view.View, from: simplify.blocks}
-  bed: {use: operators.depth.bed.BedRegion, from: {view: view, in: simplify.blocks}, sleepers: [left, right]}
-  presence: {use: operators.depth.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
+  camera: {use: devices.people.bedside.Bedside, sleepers: 2, bed_h: 0.3, evening_min: 2, width: 192}
+  simplify: {use: operators.bed.frames.simplify.Simplify, from: camera.depth}
+  view: {use: operators.bed.frames.view.View, from: simplify.blocks}
+  bed: {use: operators.bed.bed.BedRegion, from: {view: view, in: simplify.blocks}, sleepers: [left, right]}
+  presence: {use: operators.bed.presence.Presence, from: {view: view, regions: bed, blocks: simplify.blocks}}
 """
 
 
@@ -128,7 +128,7 @@ def test_each_gets_a_report(tmp_path: Path) -> None:
     nodes = shipped["nodes"]
     del nodes["pause_switch"], nodes["seen"]
     nodes["camera"] = {
-        "use": "devices.simulators.bedside.Bedside", "sleepers": 2, "bed_h": 1.2, "fps": 1, "width": 192, "seed": 2, "exits": 0,
+        "use": "devices.people.bedside.Bedside", "sleepers": 2, "bed_h": 1.2, "fps": 1, "width": 192, "seed": 2, "exits": 0,
     }  # fmt: skip
     nodes["bedside.simplify"]["from"] = "camera.depth"
     for who in ("left", "right"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from operators.depth.visitor import apart
+from kinegraph.operators.bed.visitor import apart
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -61,7 +61,7 @@ def grown(use: Use, folder: Path, hours: float = 10.0) -> Growth:
     call = [
         sys.executable,
         "-m",
-        "stream",
+        "kinegraph.stream",
         "run",
         use.config,
         *settings,

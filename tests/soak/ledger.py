@@ -7,9 +7,9 @@ from typing import Self
 
 import numpy as np
 
-from stream.chunk import NS, Times
-from stream.recording import Recording
-from stream.recording.format import table
+from kinegraph.stream.chunk import NS, Times
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format.layout import table
 
 
 @dataclass(frozen=True, slots=True)

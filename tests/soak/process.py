@@ -60,7 +60,7 @@ def main() -> None:
     fill_disk(switches / "full")
     set_clock(switches / "clock", switches / "asleep")
     sys.argv[0] = "kinegraph"
-    from stream.cli import main as kinegraph
+    from kinegraph.stream.cli.main import main as kinegraph
 
     kinegraph()
 

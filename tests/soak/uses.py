@@ -9,7 +9,7 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 RATE_HZ = 200.0
 COUNTED = """
   lines:
-    use: devices.ascii_lines.AsciiLines
+    use: devices.lines.AsciiLines
     port: {port}
     columns: [index, t, n]
     time: t
@@ -17,7 +17,7 @@ COUNTED = """
     rate_hz: {rate_hz}
   table: {{use: devices.outlets.csv_file.CsvFile, from: lines, path: lines.csv}}
   home:
-    use: devices.outlets.mqtt.MqttOutlet
+    use: devices.mqtt.MqttOutlet
     from: lines
     broker: {{host: 127.0.0.1, port: {broker}}}
     device: {{id: soak}}

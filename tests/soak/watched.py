@@ -16,11 +16,11 @@ from pathlib import Path
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from devices.outlets.page.wire import decode
-from devices.simulators.indexed import Indexed
-from devices.simulators.lines import line_at
-from devices.simulators.misbehaviour import Misbehaviour
-from devices.simulators.serve import Server
+from kinegraph.devices.lines.indexed_simulator import Indexed
+from kinegraph.devices.page.transfer.wire import decode
+from kinegraph.devices.simulation.cable import line_at
+from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.serve import Server
 from tests.soak.faults import Kind
 from tests.soak.uses import RATE_HZ, Use
 from tests.support.mosquitto import Mosquitto

@@ -26,25 +26,25 @@ from filelock import FileLock
 from rich.console import Console
 
 import kinegraph as kg
-from stream.batch.cluster import AHEAD, ClusterError, spread, workers
-from stream.batch.digests import recording_digest
-from stream.batch.jobs import Job, jobs, read_grid
-from stream.batch.manifest import JOBS, JobEntry, Manifest
-from stream.batch.study import BatchState, memory_of, number_of_workers
-from stream.batch.work import Common, do
-from stream.ceiling import ceiling
-from stream.commands.batch import _shown, _tell
-from stream.errors import GraphError, KinegraphError
-from stream.recording.series import write_recording
+from kinegraph.stream.batch.cluster import AHEAD, ClusterError, spread, workers
+from kinegraph.stream.batch.digests import recording_digest
+from kinegraph.stream.batch.jobs import Job, jobs, read_grid
+from kinegraph.stream.batch.manifest import JOBS, JobEntry, Manifest
+from kinegraph.stream.batch.study import BatchState, memory_of, number_of_workers
+from kinegraph.stream.batch.work import Common, do
+from kinegraph.stream.cli.commands.batch import _shown, _tell
+from kinegraph.stream.errors import GraphError, KinegraphError
+from kinegraph.stream.recording.series import write_recording
+from kinegraph.stream.system.memory_limit import ceiling
 from tests.support.command_line import KINEGRAPH, Command, kinegraph, refused
 
 __all__ = ["kinegraph"]
 
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 6}
-  smooth: {use: operators.iir.Lowpass, from: board.emg, cutoff_hz: 6}
-  active: {use: operators.threshold.Threshold, from: smooth, channel: TA, level: 20}
+  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 6}
+  smooth: {use: operators.filters.iir.Lowpass, from: board.emg, cutoff_hz: 6}
+  active: {use: operators.filters.threshold.Threshold, from: smooth, channel: TA, level: 20}
 record: [smooth, active.interval]
 session: {subject: S01, speed: 1.2}
 """
@@ -54,7 +54,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 
-from operators.rectify import Rectify
+from kinegraph.operators.filters.rectify import Rectify
 
 
 @dataclass(frozen=True)
@@ -186,11 +186,11 @@ def test_what_has_not_changed_is_kept(folder: Path) -> None:
 
 
 def test_a_model_that_changed_is_noticed(folder: Path) -> None:
-    own = "from dataclasses import dataclass\nfrom pathlib import Path\nfrom operators.rectify import Rectify\n\n\n"
+    own = "from dataclasses import dataclass\nfrom pathlib import Path\nfrom operators.filters.rectify import Rectify\n\n\n"
     own += "@dataclass(frozen=True)\nclass Modelled(Rectify):\n    model: str = 'model.npz'\n"
     Path("modelled_part.py").write_text(own)
     Path("model.npz").write_bytes(b"1")
-    text = GRAPH.replace("operators.iir.Lowpass", "modelled_part.Modelled").replace(", cutoff_hz: 6", "")
+    text = GRAPH.replace("operators.filters.iir.Lowpass", "modelled_part.Modelled").replace(", cutoff_hz: 6", "")
     kept = Common(text, "graph", str(folder / "graph.yaml"))
     out, job = out_with(kept), Job(folder / "s1", "s1")
     assert do(out, job)[0].status == "done" and not do(out, job)[1]
@@ -224,7 +224,7 @@ def test_what_fails_is_an_entry_and_leaves_no_table(folder: Path) -> None:
 
 
 def test_a_full_disk_fails_the_job(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import stream.batch.parquet as parquet
+    import kinegraph.stream.batch.parquet as parquet
 
     def full(self: object) -> None:
         raise OSError(28, "No space left on device")
@@ -240,8 +240,8 @@ def test_images_stay_out_of_tables(folder: Path) -> None:
     spec = kg.StreamSpec(shape=(96, 128), dtype=np.dtype(np.uint16), rate_hz=10.0, units=("mm",))
     frames = kg.Series("bed.depth", spec, np.arange(30) * 10**8, np.full((30, 96, 128), 2000, np.uint16))
     write_recording(folder / "bed.mcap", [frames], {"graph": "", "session": {}})
-    text = "nodes:\n  bed: {use: devices.simulators.bedside.Bedside}\n"
-    text += "  scaled: {use: operators.scale.Scale, from: bed.depth, gain: 0.001}\nrecord: [scaled]\n"
+    text = "nodes:\n  bed: {use: devices.people.bedside.Bedside}\n"
+    text += "  scaled: {use: operators.filters.scale.Scale, from: bed.depth, gain: 0.001}\nrecord: [scaled]\n"
     entry, _ = do(out_with(Common(text, "bed", str(folder / "bed.yaml"))), Job(folder / "bed.mcap", "bed"))
     assert entry.status == "done" and "do not fit into a table" in entry.left_out["scaled"], entry
 
@@ -286,7 +286,9 @@ def test_on_the_command_line(folder: Path, kinegraph: Command) -> None:
 
 def test_a_terminal_shows_the_jobs_done_the_failures_and_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = StringIO()
-    monkeypatch.setattr("stream.screen.Screen", lambda **_: Console(file=drawn, force_terminal=True, width=120))
+    monkeypatch.setattr(
+        "kinegraph.stream.text.screen.Screen", lambda **_: Console(file=drawn, force_terminal=True, width=120)
+    )
     tally = BatchState(40)
     with _shown(40, quiet=False) as progress:
         for k in range(8):
@@ -361,7 +363,7 @@ def test_jobs_wait_at_the_scheduler_not_at_workers(places: int, jobs: int, monke
 
 def test_a_worker_that_dies_costs_its_own_job(folder: Path, kinegraph: Command) -> None:
     Path("deadly_part.py").write_text(DEADLY)
-    text = GRAPH.replace("operators.iir.Lowpass", "deadly_part.Deadly").replace(", cutoff_hz: 6", "")
+    text = GRAPH.replace("operators.filters.iir.Lowpass", "deadly_part.Deadly").replace(", cutoff_hz: 6", "")
     Path("deadly.yaml").write_text(text)
     options = ("--set", "smooth.dies=true,false", "-o", "out", "--workers", 1, "--retries", 0)
     code, shown, complaint = kinegraph("batch", "deadly.yaml", "s1", *options)

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from operators.sleep.scorer import EPOCH
-from stream.batch.jobs import Job
-from stream.batch.manifest import JobEntry, Manifest
-from stream.batch.parquet import ParquetTable
-from stream.batch.sessions import matched, open_session, sessions_at
-from stream.batch.work import Common, do
-from stream.chunk import NS, Chunk, StreamSpec, grid
-from stream.complete import private_folder
-from stream.errors import KinegraphError
-from stream.recording import Recording
-from stream.recording.series import Series, write_recording
+from kinegraph.operators.sleep.scorer import EPOCH
+from kinegraph.stream.batch.jobs import Job
+from kinegraph.stream.batch.manifest import JobEntry, Manifest
+from kinegraph.stream.batch.parquet import ParquetTable
+from kinegraph.stream.batch.sessions import matched, open_session, sessions_at
+from kinegraph.stream.batch.work import Common, do
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec, grid
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.series import Series, write_recording
+from kinegraph.stream.system.atomic_file import private_folder
 from tests.avatar.test_steering import FACES, marked, walking
 from tests.avatar.test_whole_pose import POSES, RATE, TREE
 from tests.gait.test_emg_compare import bursts
@@ -33,9 +33,9 @@ __all__ = ["kinegraph"]
 
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 4}
-  smooth: {use: operators.iir.Lowpass, from: board.emg, cutoff_hz: 6}
-  active: {use: operators.threshold.Threshold, from: smooth, channel: TA, level: 1}
+  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 4}
+  smooth: {use: operators.filters.iir.Lowpass, from: board.emg, cutoff_hz: 6}
+  active: {use: operators.filters.threshold.Threshold, from: smooth, channel: TA, level: 1}
 record: [smooth, active.interval]
 session: {subject: S01}
 """

@@ -15,14 +15,13 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-import devices
 import kinegraph as kg
-import operators
-from operators import Cycles, Lowpass, Rectify, Threshold
-from operators.body.network import default_model
-from stream.conformance import Broken
-from stream.errors import GraphError, InputError, KinegraphError, ParameterError
-from stream.graph.shipped import shipped
+from kinegraph import devices, operators
+from kinegraph.operators import Cycles, Lowpass, Rectify, Threshold
+from kinegraph.operators.body.network.blazepose import default_model
+from kinegraph.stream.errors import GraphError, InputError, KinegraphError, ParameterError
+from kinegraph.stream.graph.shipped import shipped
+from kinegraph.stream.laws import Broken
 from tests.public_names import HOUSE, PACKAGES, text_of
 
 RNG = np.random.default_rng(12)
@@ -171,7 +170,7 @@ def test_a_graph_written_as_python_is_the_same_graph(name: str) -> None:
 
 
 def test_two_classes_of_one_name_are_imported_under_two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    copy = "from operators import iir\n\n\nclass Lowpass(iir.Lowpass):\n    __slots__ = ()\n"
+    copy = "from kinegraph.operators import iir\n\n\nclass Lowpass(iir.Lowpass):\n    __slots__ = ()\n"
     (tmp_path / "another_lowpass.py").write_text(copy, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     from another_lowpass import Lowpass as Another  # type: ignore[import-not-found]
@@ -183,7 +182,7 @@ def test_two_classes_of_one_name_are_imported_under_two(tmp_path: Path, monkeypa
     program = graph.to_python()
     assert [line for line in program.splitlines() if "Lowpass" in line and "import" in line] == [
         "from another_lowpass import Lowpass as Lowpass2",
-        "from operators.iir import Lowpass",
+        "from kinegraph.operators.filters.iir import Lowpass",
     ]
     made: dict[str, Any] = {}
     exec(program, made)

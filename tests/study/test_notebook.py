@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from stream.errors import KinegraphError
-from stream.recording.series import write_recording
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.recording.series import write_recording
 
 NS = 10**9
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 20}
-  smooth: {use: operators.iir.Lowpass, from: board.emg, cutoff_hz: 6}
+  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 20}
+  smooth: {use: operators.filters.iir.Lowpass, from: board.emg, cutoff_hz: 6}
 record: [smooth]
 """
 HOSTILE = "<img src=x onerror=alert(1)>"
@@ -144,7 +144,7 @@ def test_a_live_session_in_a_notebooks_loop(session: Path) -> None:
 def test_a_slow_program_costs_pieces_not_samples(
     session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stream.face.live.WAITING", 3)
+    monkeypatch.setattr("kinegraph.stream.api.live.WAITING", 3)
     with kg.live(session.parent / "graph.yaml", folder=tmp_path / "s") as live:
         live._thread.join()
         pieces = list(live)
@@ -160,7 +160,7 @@ def test_a_session_that_failed_says_so_but_not_in_place_of_the_programs_own_erro
     def fail(self: object) -> None:
         raise KinegraphError("the board fell down")
 
-    monkeypatch.setattr("stream.face.live.Session.run", fail)
+    monkeypatch.setattr("kinegraph.stream.api.live.Session.run", fail)
     with pytest.raises(KinegraphError, match="fell down"), kg.live(session.parent / "graph.yaml"):
         pass
     with pytest.raises(ZeroDivisionError), kg.live(session.parent / "graph.yaml"):

@@ -43,15 +43,15 @@ def test_a_long_replay_shows_its_progress_and_the_time_left(tmp_path: Path, monk
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     code = [
         "import kinegraph as kg",
-        "from stream.face import notebook_bar",
+        "from kinegraph.stream.api import notebook_bar",
         "graph = kg.load('board.yaml')",
         "kg.run(graph, 'session')",
         "notebook_bar.AFTER_S = notebook_bar.EVERY_S = 0.0",
         "made = kg.replay(graph, 'session')",
     ]
     (tmp_path / "board.yaml").write_text(
-        "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: 60}\n"
-        "  smooth: {use: operators.iir.Lowpass, from: board.emg, cutoff_hz: 6}\nrecord: [smooth]\n"
+        "nodes:\n  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 60}\n"
+        "  smooth: {use: operators.filters.iir.Lowpass, from: board.emg, cutoff_hz: 6}\nrecord: [smooth]\n"
     )
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("\n".join(code))])
     client = nbclient.NotebookClient(book, timeout=240, resources={"metadata": {"path": str(tmp_path)}})

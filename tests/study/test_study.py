@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from stream.batch.manifest import JOBS
-from stream.chunk import NS, grid
-from stream.graph.load import load
-from stream.recording.series import Series, write_recording
+from kinegraph.stream.batch.manifest import JOBS
+from kinegraph.stream.chunk import NS, grid
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.command_line import KINEGRAPH
 
 RECORDINGS = int(os.environ.get("KINEGRAPH_STUDY_RECORDINGS", "6"))
@@ -23,8 +23,8 @@ RECORDINGS = int(os.environ.get("KINEGRAPH_STUDY_RECORDINGS", "6"))
 CUTOFFS = (4.0, 6.0, 10.0)
 GRAPH = """
 nodes:
-  board: {use: devices.simulators.treadmill.Treadmill}
-  smooth: {use: operators.iir.Lowpass, from: board.emg, cutoff_hz: 6}
+  board: {use: devices.people.treadmill.Treadmill}
+  smooth: {use: operators.filters.iir.Lowpass, from: board.emg, cutoff_hz: 6}
 record: [smooth]
 """
 

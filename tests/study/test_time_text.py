@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stream import time_text
-from stream.chunk import NS, StreamSpec
-from stream.time_text import about, delay, duration, elapsed, hour_of_day, in_hours, moment, rate
+from kinegraph.stream.chunk import NS, StreamSpec
+from kinegraph.stream.text import time_text
+from kinegraph.stream.text.time_text import about, delay, duration, elapsed, hour_of_day, in_hours, moment, rate
 
 HOUSE = Path(__file__).resolve().parents[2]
 
@@ -60,7 +60,7 @@ def test_a_stream_of_a_million_samples_a_second_says_so() -> None:
     assert "at 2000000 Hz" in StreamSpec((1,), rate_hz=2e6).describe()
 
 
-ELSEWHERE = {"stream/time_text.py", "devices/files/edf_plus.py", "stream/commands/run.py"}
+ELSEWHERE = {"stream/text/time_text.py", "devices/formats/edf/edf_plus.py", "stream/cli/commands/run.py"}
 """Also files' own formats: an EDF date, the name of a session's folder."""
 
 

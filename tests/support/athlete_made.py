@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from devices.synthesis.blend_kernel import blended, placed
-from operators.motion_graph.takes import TOES
-from stream.chunk import Samples, grid
-from stream.joint_tree import joints_of
-from stream.recording.series import Series, write_recording
+from kinegraph.devices.synthesis.blend_kernel import blended, placed
+from kinegraph.operators.maps.motion_graph.takes import TOES
+from kinegraph.stream.chunk import Samples, grid
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.motion_made import RATE, TREE, bend, bent, walking
 
 RUN_CYCLE, JUMP_CYCLE = 22, 40

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from stream.chunk import NS, Chunk, Specs, StreamSpec
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 START = 1_700_000_000 * NS
 

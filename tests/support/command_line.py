@@ -17,8 +17,8 @@ import pytest
 import structlog
 
 KINEGRAPH = Path(sys.executable).parent / "kinegraph"
-BOARD = "nodes:\n  board: {use: devices.simulators.treadmill.Treadmill, realtime: false, duration_s: %s}\n"
-GRAPH = BOARD % 2 + "  rect: {use: operators.rectify.Rectify, from: board.emg}\nrecord: [rect]\n"
+BOARD = "nodes:\n  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: %s}\n"
+GRAPH = BOARD % 2 + "  rect: {use: operators.filters.rectify.Rectify, from: board.emg}\nrecord: [rect]\n"
 QUIET = ("--view", "none")
 
 Told = tuple[int, str, str]
@@ -28,7 +28,7 @@ Command = Callable[..., Told]
 @pytest.fixture
 def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Command]:
     """Call a command in an empty folder: (exit code, what it printed, what it complained of)."""
-    import stream.cli
+    import kinegraph.stream.cli.main
 
     monkeypatch.chdir(tmp_path)
 
@@ -37,7 +37,7 @@ def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
         capsys.readouterr()
         code: Any = 0
         try:
-            stream.cli.main()
+            kinegraph.stream.cli.main.main()
         except SystemExit as end:
             code = end.code or 0
         told = capsys.readouterr()

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream import cli
-from stream.chunk import FOREVER
-from stream.errors import RecordingError
-from stream.recording import Recording
+from kinegraph.stream.chunk import FOREVER
+from kinegraph.stream.cli import main as cli
+from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.recording import Recording
 
 DATA = Path(os.environ["KINEGRAPH_DATA"]) if os.environ.get("KINEGRAPH_DATA") else None
 

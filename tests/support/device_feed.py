@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 import psutil
 
-from stream.chunk import Array, Chunk, Times
-from stream.source import Source
+from kinegraph.stream.chunk import Array, Chunk, Times
+from kinegraph.stream.source import Source
 from tests.support.queued import check_queued
 
 

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from operators.emg.envelope import Envelope
-from stream.chunk import FOREVER, NS, Chunk, StreamSpec
-from stream.engine.merge import Merge
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, StreamSpec
+from kinegraph.stream.engine.flow.merge import Merge
 from tests.support.real import real_arrays
 
 CONTACT = np.dtype([("onset", "<i8")])

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from operators.segmentation.naming import BELIEVED_NAME, REPETITION
-from operators.segmentation.outputs import OUTPUTS
-from stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.operators.segmentation.names.naming import BELIEVED_NAME, REPETITION
+from kinegraph.operators.segmentation.outputs import OUTPUTS
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 
 EVENTS = {name: StreamSpec((), dtype) for name, (dtype, _) in OUTPUTS.items()}
 EVENTS |= {"believed": StreamSpec((), BELIEVED_NAME), "repetition": StreamSpec((), REPETITION)}

@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from stream.chunk import Chunk, Specs, StreamSpec
-from stream.errors import InputError, ParameterError
-from stream.operator import Operator
-from stream.outlet import Outlet
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.stream.chunk import Chunk, Specs, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import Operator
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 
 @dataclass(slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stream.chunk import NS, Array, Chunk, Samples
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples
 
 
 class Heard:

@@ -1,6 +1,6 @@
 """Made-up horses for maps of motion: walks and trots of seven markers, sound or lame, as recordings and as an index.
 
-`python -m tests.support.horses_made` writes operators/pose_map/example.npz.
+`python -m tests.support.horses_made` writes operators/maps/pose_map/example.npz.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.pose_map.commands.build import build_index
-from operators.pose_map.commands.gather import PoseReading
-from operators.pose_map.commands.marker_table import MarkerTable
-from stream.chunk import NS, Array, Samples, StreamSpec, grid
-from stream.motion_index import MotionIndex
-from stream.recording.series import Series, write_recording
+from kinegraph.operators.maps.pose_map.commands.build import build_index
+from kinegraph.operators.maps.pose_map.commands.gather import PoseReading
+from kinegraph.operators.maps.pose_map.commands.marker_table import MarkerTable
+from kinegraph.stream.chunk import NS, Array, Samples, StreamSpec, grid
+from kinegraph.stream.domain.pose_map import MotionIndex
+from kinegraph.stream.recording.series import Series, write_recording
 
 NAMES = ("withers", "sacrum", "poll", "hoof_fl", "hoof_fr", "hoof_hl", "hoof_hr")
 BONES = (

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.motion_graph.build import build_graph
-from operators.motion_graph.primitives import segmented
-from operators.motion_graph.takes import TOES, Take, symmetric
-from stream.chunk import Samples
-from stream.humanoid import BONES, to_humanoid, usual_body
-from stream.joint_tree import JointTree, joints_of, local_poses
-from stream.motion_graph import MotionGraph
+from kinegraph.operators.maps.motion_graph.build import build_graph
+from kinegraph.operators.maps.motion_graph.primitives import segmented
+from kinegraph.operators.maps.motion_graph.takes import TOES, Take, symmetric
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.humanoid import BONES, to_humanoid, usual_body
+from kinegraph.stream.domain.motion_graph import MotionGraph
+from kinegraph.stream.domain.skeleton import JointTree, joints_of, local_poses
 
 TREE = usual_body()
 RATE = 30.0

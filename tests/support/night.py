@@ -8,10 +8,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from stream.commands import logs
-from stream.engine.session import Session
-from stream.graph.load import load
-from stream.recording.checkpoint import Checkpoint
+from kinegraph.stream.cli.commands import logs
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.recording.format.checkpoint import Checkpoint
 
 
 def slow_checkpoints() -> None:

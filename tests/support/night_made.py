@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from devices.outlets.night import NightLog, archive
-from stream.chunk import NS, Array, Chunk, StreamSpec
+from kinegraph.devices.reports.night import NightLog, archive
+from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
 
 STEP = 30 * NS
 LATE = 3

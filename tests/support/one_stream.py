@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from stream.chunk import FOREVER, Chunk, StreamSpec
-from stream.operator import grid
-from stream.rows import taking
+from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
+from kinegraph.stream.data.rows import taking
+from kinegraph.stream.operator import grid
 
 RATE = 200.0
 

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit, urlunsplit
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
-from devices.outlets.page.wire import decode
+from kinegraph.devices.page.transfer.wire import decode
 from tests.support.command_line import KINEGRAPH
 
 BUILT = Path(__file__).resolve().parents[2] / "devices" / "outlets" / "page" / "built" / "page.js"

@@ -9,11 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from stream.chunk import NS, Array, Chunk, Specs, StreamSpec, empty
-from stream.operator import Emitted, Operator
-from stream.outlet import Outlet
-from stream.params import param
-from stream.source import Feed, Source
+from kinegraph.stream.chunk import NS, Array, Chunk, Specs, StreamSpec, empty
+from kinegraph.stream.operator import Emitted, Operator
+from kinegraph.stream.outlet import Outlet
+from kinegraph.stream.params import param
+from kinegraph.stream.source import Feed, Source
 
 START = 1_700_000_000 * NS
 seen: dict[str, list[Chunk]] = {}

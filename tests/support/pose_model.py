@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from operators.body.network import model_path
-from stream.errors import ParameterError
+from kinegraph.operators.body.network.blazepose import model_path
+from kinegraph.stream.errors import ParameterError
 
 
 def pose_network_or_skip() -> None:

@@ -8,9 +8,9 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from stream.chunk import Chunk, StreamSpec, add_lost
-from stream.engine.admission import conform, ordered, soundness
-from stream.engine.queues import BoundedQueue
+from kinegraph.stream.chunk import Chunk, StreamSpec, add_lost
+from kinegraph.stream.engine.flow.admission import conform, ordered, soundness
+from kinegraph.stream.engine.flow.queues import BoundedQueue
 
 COUNTS = (2, 3, 9, 40)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stream.chunk import Array
+from kinegraph.stream.chunk import Array
 
 REAL = Path(__file__).resolve().parents[1] / "recordings" / "real"
 """The recordings of the repository; their README names source, licence and SHA-256 of each."""

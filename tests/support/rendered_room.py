@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from devices.simulators.bedside import Bedside
-from stream.chunk import NS, Chunk
-from stream.source import Feed
+from kinegraph.devices.people.bedside import Bedside
+from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.source import Feed
 
 Depths = NDArray[np.float32]
 FOCAL = 0.78

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from operators.emg.envelope import Envelope
-from operators.gait.limb_contacts import LIMB_CONTACT
-from operators.gait.limb_cycles import LimbCycles
-from stream.chunk import NS, StreamSpec
+from kinegraph.operators.contacts.limb_contacts import LIMB_CONTACT
+from kinegraph.operators.cycles.limb_cycles import LimbCycles
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.stream.chunk import NS, StreamSpec
 from tests.support.emg_run import drive, stamps
 
 WORKS = {

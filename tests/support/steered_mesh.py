@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from devices.simulators.quadruped import marked
-from operators.steering.operator import SteerMesh
-from stream.chunk import Chunk, Samples, StreamSpec, grid
+from kinegraph.devices.people.quadruped import marked
+from kinegraph.operators.steering.operator import SteerMesh
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec, grid
 
 
 def steered(path: Path, marks: Samples, names: tuple[str, ...] = tuple(marked())) -> Samples:

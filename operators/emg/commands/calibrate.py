@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stream.errors import KinegraphError
+from kinegraph.stream.errors import KinegraphError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from operators.emg.amplitude_reference import AmplitudeReference
-    from operators.emg.envelope import Envelope
-    from stream.recording import Recording
+    from kinegraph.operators.emg.amplitude_reference import AmplitudeReference
+    from kinegraph.operators.emg.envelope import Envelope
+    from kinegraph.stream.recording import Recording
 
 
 class Kind(StrEnum):
@@ -57,7 +57,7 @@ def calibrate(
     mvc: per muscle the highest mean of the envelope over `--window-s`. rest: the envelope's mean, and the raw signal's baseline noise.
     task: peak and mean of the mean cycle. The envelope is computed as the graph does, and the reference is valid for no other.
     """
-    from stream.recording import Recording
+    from kinegraph.stream.recording import Recording
 
     with Recording.open(recording) as opened:
         about = opened.header.get("session") or {}
@@ -84,9 +84,9 @@ def reference(
     """The reference that a recording gives, and per channel what its quality was. Raises KinegraphError."""
     import numpy as np
 
-    from operators.emg.amplitude_reference import AmplitudeReference
-    from operators.emg.commands.calibration import highest_mean, mean_cycle, quality, settled_envelope
-    from stream.chunk import utc
+    from kinegraph.operators.emg.amplitude_reference import AmplitudeReference
+    from kinegraph.operators.emg.commands.calibration import highest_mean, mean_cycle, quality, settled_envelope
+    from kinegraph.stream.chunk import utc
 
     name = emg or raw_emg(recording)
     spec = recording.stream(name).spec
@@ -132,8 +132,8 @@ def envelope_of(text: str, where: str) -> Envelope:
     """The envelope that a graph's text describes; the default one where it has none. Raises KinegraphError where it has several."""
     from ruamel.yaml import YAML
 
-    from operators.emg.envelope import Envelope
-    from stream.params import build
+    from kinegraph.operators.emg.envelope import Envelope
+    from kinegraph.stream.params import build
 
     known = {f.name for f in fields(Envelope)}
     nodes = (YAML(typ="safe").load(text) or {}).get("nodes") or {}
@@ -149,8 +149,8 @@ def envelope_of(text: str, where: str) -> Envelope:
 
 
 def _text(config: File) -> str:
-    from stream.graph.load import read_expanded
-    from stream.graph.overrides import dump
+    from kinegraph.stream.graph.reading.load import read_expanded
+    from kinegraph.stream.graph.reading.overrides import dump
 
     return dump(read_expanded(config).plain())
 
@@ -168,7 +168,7 @@ def _only(recording: Recording, what: str, fits: Any, ends: str = "") -> str:
 
 
 def _show(made: AmplitudeReference, flags: list[str], target: File) -> None:
-    from stream.screen import Screen
+    from kinegraph.stream.text.screen import Screen
 
     console = Screen()
     console.print(_table(made, flags))

@@ -6,14 +6,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from operators.emg.envelope import Envelope
-from operators.emg.quality import SignalQuality
-from operators.gait.cycles import Cycles
-from stream.chunk import FOREVER, NS, Array, Chunk, Samples, StreamSpec, Times, empty
-from stream.engine.merge import Merge
-from stream.errors import KinegraphError
-from stream.operator import Emitted
-from stream.recording import Recording
+from kinegraph.operators.cycles.cycles import Cycles
+from kinegraph.operators.emg.envelope import Envelope
+from kinegraph.operators.emg.quality import SignalQuality
+from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, StreamSpec, Times, empty
+from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.operator import Emitted
+from kinegraph.stream.recording import Recording
 
 LEAST_CYCLES = 3
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.errors import KinegraphError
-from stream.plain import say
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from operators.emg.commands.electrode_check import Electrode
-    from stream.engine.session import Session
-    from stream.graph import Graph
-    from stream.impedance import Impedance
+    from kinegraph.operators.emg.commands.electrode_check import Electrode
+    from kinegraph.stream.domain.impedance import Impedance
+    from kinegraph.stream.engine.session import Session
+    from kinegraph.stream.graph import Graph
 
 Span = tuple[float, float]
 REST_S, CONTRACTION_S = 5.0, 10.0
@@ -53,7 +53,7 @@ def check_electrodes(
     device measures them (OpenBCI Cyton: 1.5 s an electrode), and what to do about each fault.
     Exit code 0 if every channel is good, 1 if one is doubtful or bad.
     """
-    from stream.recording.place import SUFFIX, parts_of
+    from kinegraph.stream.recording.format.paths import SUFFIX, parts_of
 
     quiet = _span(rest, "--rest", (0.0, REST_S))
     strong = _span(contraction, "--contraction", (quiet[1], quiet[1] + CONTRACTION_S))
@@ -88,10 +88,10 @@ def _measure(
     """Run the graph as long as the stages last, without its outlets, and say what is to be done meanwhile; before, measure impedances."""
     from contextlib import nullcontext
 
-    from stream.commands import logs
-    from stream.commands.run import simulated
-    from stream.engine.session import Session
-    from stream.graph.load import load
+    from kinegraph.stream.cli.commands import logs
+    from kinegraph.stream.cli.commands.run import simulated
+    from kinegraph.stream.engine.session import Session
+    from kinegraph.stream.graph.reading.load import load
 
     logs.set_up()
     graph = load(config)
@@ -115,8 +115,8 @@ def _measure(
 
 def _impedances(graph: Graph) -> list[Impedance]:
     """Of every source that measures them, one electrode after the other."""
-    from stream.impedance import LoneFeed
-    from stream.source import Source
+    from kinegraph.stream.domain.impedance import LoneFeed
+    from kinegraph.stream.source import Source
 
     found: list[Impedance] = []
     for node in graph.sources:
@@ -148,9 +148,9 @@ def _prompt(session: Session, quiet: Span, strong: Span, over: Event) -> None:
 def _judge(
     path: File, emg: str, quiet: Span, strong: Span, ohm: Sequence[Impedance] = (), most_ohm: float = 0.0
 ) -> tuple[list[Electrode], str]:
-    from operators.emg.commands.calibrate import raw_emg
-    from operators.emg.commands.electrode_check import check_electrodes as judge
-    from stream.recording import Recording
+    from kinegraph.operators.emg.commands.calibrate import raw_emg
+    from kinegraph.operators.emg.commands.electrode_check import check_electrodes as judge
+    from kinegraph.stream.recording import Recording
 
     with Recording.open(path) as recording:
         name = emg or raw_emg(recording)
@@ -162,7 +162,7 @@ def _judge(
 def _show(found: list[Electrode], unit: str) -> None:
     from rich.table import Table
 
-    from stream.screen import Screen
+    from kinegraph.stream.text.screen import Screen
 
     table = Table(box=None)
     measured = any(e.ohm for e in found)

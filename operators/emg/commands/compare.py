@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from stream.errors import KinegraphError
-from stream.plain import say
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.text.safe_text import say
 
 
 def compare(
@@ -40,13 +40,13 @@ def compare(
     Each leg is compared with the same leg, each stage with the same stage; the legs of a single recording with each other. A job of a
     batch counts as a recording. Sessions whose curves were normalised or filtered otherwise are refused.
     """
-    from operators.emg.commands.comparison import compare_sessions
-    from operators.emg.commands.comparison_groups import by_stage, groups_of
-    from operators.emg.commands.comparison_page import stretches, write_page, write_tables
-    from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, read_sessions
-    from operators.emg.mixtures import PeakMixtures
-    from stream.batch.sessions import sessions_at
-    from stream.complete import private_folder
+    from kinegraph.operators.emg.commands.comparison import compare_sessions
+    from kinegraph.operators.emg.commands.comparison_groups import by_stage, groups_of
+    from kinegraph.operators.emg.commands.comparison_page import stretches, write_page, write_tables
+    from kinegraph.operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, read_sessions
+    from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+    from kinegraph.stream.batch.sessions import sessions_at
+    from kinegraph.stream.system.atomic_file import private_folder
 
     page, table = output / "comparison.html", output / "comparison.csv"
     for path in (page, table):

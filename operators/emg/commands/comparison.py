@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.emg.commands.comparison_groups import Group, speed_notes
-from operators.emg.commands.session_cycles import SessionCycles
-from operators.emg.mixture_reference import References
-from operators.emg.mixtures import PeakMixtures
-from stream.chunk import Samples
+from kinegraph.operators.emg.commands.comparison_groups import Group, speed_notes
+from kinegraph.operators.emg.commands.session_cycles import SessionCycles
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+from kinegraph.operators.emg.mixtures.reference import References
+from kinegraph.stream.chunk import Samples
 
 HIGHEST = 5
 RESAMPLINGS = 2000

@@ -10,8 +10,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from operators.emg.commands.comparison import Band, Comparison
-from stream.units import shown
+from kinegraph.operators.emg.commands.comparison import Band, Comparison
+from kinegraph.stream.text.units import shown
 
 COLOURS = ("#12395b", "#b25b00", "#2f7d4f", "#a3211b", "#7a3b8f", "#55534e", "#0b7d8f", "#8f6b0b")
 WITH_BANDS = 4

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.emg.commands.session_cycles import SessionCycles, other_speeds
+from kinegraph.operators.emg.commands.session_cycles import SessionCycles, other_speeds
 
 UNEVEN = 1.2
 """Cycles of which the slow ones (90th percentile) last this many times as long as the fast ones (10th) are of more than one speed."""

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.emg.commands.comparison import Comparison, Scatter, standardised
-from operators.emg.commands.comparison_curves import WITH_BANDS, draw_curves
-from stream.complete import complete
-from stream.units import shown
+from kinegraph.operators.emg.commands.comparison import Comparison, Scatter, standardised
+from kinegraph.operators.emg.commands.comparison_curves import WITH_BANDS, draw_curves
+from kinegraph.stream.system.atomic_file import complete
+from kinegraph.stream.text.units import shown
 
 PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title><style>
 body{font:15px/1.4 sans-serif;max-width:60em;margin:2em auto}table{border-collapse:collapse;margin:1em 0}

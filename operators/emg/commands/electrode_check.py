@@ -9,11 +9,11 @@ from itertools import combinations
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from operators.emg.electrode_watch import ADVICE
-from operators.emg.quality import MICROVOLTS, MOST_NOISE_UV, SignalQuality
-from stream.chunk import FOREVER, Chunk, Samples, StreamSpec, Times
-from stream.errors import InputError
-from stream.impedance import Impedance
+from kinegraph.operators.emg.quality import MICROVOLTS, MOST_NOISE_UV, SignalQuality
+from kinegraph.operators.monitors.electrode_watch import ADVICE
+from kinegraph.stream.chunk import FOREVER, Chunk, Samples, StreamSpec, Times
+from kinegraph.stream.domain.impedance import Impedance
+from kinegraph.stream.errors import InputError
 
 LEAST_RISE = 3.0
 """A contraction comes to at least this many times the level at rest (rms)."""

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from operators.emg.emg_model import made_alike
-from operators.emg.mixture_reference import ReferenceFit, References
-from operators.emg.mixtures import PeakMixtures, muscle_groups
-from operators.emg.peak_window import PeakWindow
-from operators.gait.cycle import MAXIMUM, POINTS, is_closed
-from operators.gait.limbs import limbs_of
-from operators.gait.review import JUDGED
-from stream.batch.sessions import StoredSession, name_of, open_session
-from stream.chunk import Array, Samples, StreamSpec
-from stream.errors import KinegraphError
+from kinegraph.operators.contacts.limbs import limbs_of
+from kinegraph.operators.cycles.cycle import MAXIMUM, POINTS, is_closed
+from kinegraph.operators.cycles.review import JUDGED
+from kinegraph.operators.emg.mixtures.emg_model import made_alike
+from kinegraph.operators.emg.mixtures.operator import PeakMixtures, muscle_groups
+from kinegraph.operators.emg.mixtures.peak_window import PeakWindow
+from kinegraph.operators.emg.mixtures.reference import ReferenceFit, References
+from kinegraph.stream.batch.sessions import StoredSession, name_of, open_session
+from kinegraph.stream.chunk import Array, Samples, StreamSpec
+from kinegraph.stream.errors import KinegraphError
 
 MOST_CYCLES = 500
 OTHER_SPEED = 0.1
@@ -93,7 +93,7 @@ def read_sessions(path: Path, node: str = "") -> list[SessionCycles]:
         if not legs:
             of = f" of node {node!r}" if node else ""
             raise KinegraphError(
-                f"{path}: there are no cycles{of}; record closed, cycles and maxima of operators.gait.cycles.Cycles"
+                f"{path}: there are no cycles{of}; record closed, cycles and maxima of operators.cycles.cycles.Cycles"
             )
         return [_read(recording, path, name, limb, len(nodes) > 1) for name, limb in legs]
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.emg.quality import QUALITY
-from operators.gait.cycle import is_closed
-from stream.chunk import NS
-from stream.errors import KinegraphError
-from stream.recording import Recording
+from kinegraph.operators.cycles.cycle import is_closed
+from kinegraph.operators.emg.quality import QUALITY
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.recording import Recording
 
 COLUMNS = ("session", "subject", "begun (UTC)", "length (s)", "facts", "accepted", "rejected", "not good")
 YEAR_NS = 366 * 86_400 * NS

@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from stream.errors import KinegraphError
-from stream.plain import say
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.text.safe_text import say
 
 
 def sessions(
@@ -23,9 +23,9 @@ def sessions(
     Cycles and quality are there where the session recorded them (`closed` of cycles or of a review, `quality`). A file that cannot be read
     is listed with the reason. Exit code 0, or 1 where there is no recording at all.
     """
-    from operators.emg.commands.session_index import COLUMNS, index
-    from stream.complete import complete
-    from stream.sheet import Sheet
+    from kinegraph.operators.emg.commands.session_index import COLUMNS, index
+    from kinegraph.stream.data.csv_writer import Sheet
+    from kinegraph.stream.system.atomic_file import complete
 
     if not folder.is_dir():
         raise KinegraphError(f"{folder}: there is no such folder")

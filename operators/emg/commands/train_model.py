@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.errors import KinegraphError
+from kinegraph.stream.errors import KinegraphError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from operators.emg.mixture_reference import References
+    from kinegraph.operators.emg.mixtures.reference import References
 
 
 def emg_model(
@@ -28,19 +28,25 @@ def emg_model(
     cycles: Annotated[int, typer.Option(min=2, max=100, help="of the window that will be compared with it")] = 3,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
 ) -> None:
-    """Mixtures of each muscle's activation peaks over all accepted cycles, for `reference` of operators.emg.mixture_drift.MixtureDrift.
+    """Mixtures of each muscle's activation peaks over all accepted cycles, for `reference` of operators.emg.mixtures.drift.MixtureDrift.
 
     Beyond the limit a session has moved away: the 99th percentile of divergences between `--cycles` of these, at random, and the rest.
     """
     import numpy as np
 
-    from operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, joined, other_speeds, read_sessions
-    from operators.emg.emg_model import write_references
-    from operators.emg.mixture_reference import References
-    from operators.emg.mixtures import PeakMixtures
-    from stream.batch.sessions import sessions_at
-    from stream.plain import say
-    from stream.screen import Screen
+    from kinegraph.operators.emg.commands.session_cycles import (
+        MOST_CYCLES,
+        check_alike,
+        joined,
+        other_speeds,
+        read_sessions,
+    )
+    from kinegraph.operators.emg.mixtures.emg_model import write_references
+    from kinegraph.operators.emg.mixtures.operator import PeakMixtures
+    from kinegraph.operators.emg.mixtures.reference import References
+    from kinegraph.stream.batch.sessions import sessions_at
+    from kinegraph.stream.text.safe_text import say
+    from kinegraph.stream.text.screen import Screen
 
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")

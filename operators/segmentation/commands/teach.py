@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.errors import KinegraphError, nearest
-from stream.plain import say
+from kinegraph.stream.errors import KinegraphError, nearest
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from stream.chunk import Array, Samples, StreamSpec
-    from stream.recording import Recording
+    from kinegraph.stream.chunk import Array, Samples, StreamSpec
+    from kinegraph.stream.recording import Recording
 
 PRIMITIVE = {"onset", "end", "activity", "repetition", "cluster"}
 
@@ -52,11 +52,11 @@ def teach(
     kinegraph teach session "squat=12.0-30.5" "arms=1-12" -o exercises.npz
     kinegraph teach session                       (by what was said while it ran: "this is: squat")
 
-    Then name the model in the graph: `model: exercises.npz` of operators.segmentation.naming.NameRepetitions. The same name may be given
-    several times.
+    Then name the model in the graph: `model: exercises.npz` of operators.segmentation.names.naming.NameRepetitions. The same name may be
+    given several times.
     """
-    from operators.segmentation.taught import taught
-    from stream.recording import Recording
+    from kinegraph.operators.segmentation.names.taught import taught
+    from kinegraph.stream.recording import Recording
 
     wanted = [read_shown(text) for text in shown or []]
     if output.exists() and not overwrite:
@@ -83,7 +83,7 @@ def teach(
 
 def read_shown(text: str) -> Exemplar:
     """ "squat=12.0-30.5". Raises KinegraphError."""
-    from operators.segmentation.taught import MOST_LETTERS, UNKNOWN, fit_for_name
+    from kinegraph.operators.segmentation.names.taught import MOST_LETTERS, UNKNOWN, fit_for_name
 
     name, _, span = text.partition("=")
     first, _, last = span.partition("-")
@@ -100,7 +100,7 @@ def read_shown(text: str) -> Exemplar:
 
 def _said(recording: Recording, told: Array) -> list[Exemplar]:
     """What annotations name: the activity that was under way at each, or what ended or began beside it, as while the session ran."""
-    from operators.segmentation.taught import fit_for_name, said
+    from kinegraph.operators.segmentation.names.taught import fit_for_name, said
 
     marks = [entry[0].data for entry in recording.entries("annotations")] if "annotations" in recording.streams else []
     zero, named = _zero(recording), dict[int, str]()
@@ -120,7 +120,7 @@ def _meant(told: Array, said_at: int, named: dict[int, str]) -> int | None:
     """The activity that a name said at this time is of; some have a name already."""
     import numpy as np
 
-    from operators.segmentation.taught import of_what_ended
+    from kinegraph.operators.segmentation.names.taught import of_what_ended
 
     before, after = told[told["onset"] <= said_at], told[told["onset"] > said_at]
     if not len(before):

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.complete import private_folder
-from stream.errors import KinegraphError
-from stream.plain import say
-from stream.sheet import Sheet
-from stream.tables import read_records
+from kinegraph.stream.data.csv_writer import Sheet
+from kinegraph.stream.data.tables import read_records
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.atomic_file import private_folder
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from operators.segmentation.evaluation.found import Found
-    from operators.segmentation.evaluation.scores import Scores
-    from operators.segmentation.evaluation.truth import Truth
+    from kinegraph.operators.segmentation.evaluation.found import Found
+    from kinegraph.operators.segmentation.evaluation.scores import Scores
+    from kinegraph.operators.segmentation.evaluation.truth import Truth
 
 SHOWN = {
     "f1": "boundary F1 within 1 s",
@@ -68,11 +68,11 @@ def segmentation(
 
     Of a batch's results every job is evaluated, and each combination of settings has its own mean.
     """
-    from operators.segmentation.evaluation.found import read_found
-    from operators.segmentation.evaluation.picture import draw
-    from operators.segmentation.evaluation.scores import score
-    from operators.segmentation.evaluation.truth import read_truth
-    from stream.screen import Screen
+    from kinegraph.operators.segmentation.evaluation.found import read_found
+    from kinegraph.operators.segmentation.evaluation.picture import draw
+    from kinegraph.operators.segmentation.evaluation.scores import score
+    from kinegraph.operators.segmentation.evaluation.truth import read_truth
+    from kinegraph.stream.text.screen import Screen
 
     if not isfinite(offset):
         raise KinegraphError(f"--offset {offset}: must be a number of seconds")
@@ -99,7 +99,7 @@ def _wanted(
     result: File | None, truth: File | None, table: File | None, offset: float
 ) -> list[tuple[str, str, File, tuple[File, float]]]:
     """What is to be compared with what: a name, the settings of a batch's job, the result; its truth, and seconds added to that."""
-    from stream.batch.evaluated import compared
+    from kinegraph.stream.batch.evaluated import compared
 
     return compared(
         result,
@@ -136,7 +136,7 @@ def _names(paths: list[File]) -> list[str]:
 def _summary(scores: dict[str, Scores], settings: str) -> object:
     from rich.table import Table
 
-    from operators.segmentation.evaluation.scores import intervals
+    from kinegraph.operators.segmentation.evaluation.scores import intervals
 
     count = f"{len(scores)} recording{'s' if len(scores) != 1 else ''}"
     made = Table(title=", ".join(filter(None, ["segmentation", count, settings])))

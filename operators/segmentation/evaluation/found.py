@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.segmentation.evaluation.truth import LONGEST_TRANSITION_S
-from stream.batch.sessions import StoredSession, open_session
-from stream.chunk import NS, Array, Samples
-from stream.errors import KinegraphError, nearest
-from stream.tables import read_csv
+from kinegraph.operators.segmentation.evaluation.truth import LONGEST_TRANSITION_S
+from kinegraph.stream.batch.sessions import StoredSession, open_session
+from kinegraph.stream.chunk import NS, Array, Samples
+from kinegraph.stream.data.tables import read_csv
+from kinegraph.stream.errors import KinegraphError, nearest
 
 ACTIVITY = {"onset", "end", "activity", "repeats"}
 PRIMITIVE = {"onset", "end", "activity", "repetition", "cluster"}

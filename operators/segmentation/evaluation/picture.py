@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from operators.segmentation.evaluation.found import Found
-from operators.segmentation.evaluation.truth import Truth
-from stream.chunk import Array, Samples
+from kinegraph.operators.segmentation.evaluation.found import Found
+from kinegraph.operators.segmentation.evaluation.truth import Truth
+from kinegraph.stream.chunk import Array, Samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from operators.segmentation.evaluation.found import Found
-from operators.segmentation.evaluation.truth import Truth
-from stream.chunk import Array, Samples
+from kinegraph.operators.segmentation.evaluation.found import Found
+from kinegraph.operators.segmentation.evaluation.truth import Truth
+from kinegraph.stream.chunk import Array, Samples
 
 STEP_S = 1.0 / 120.0
 """Time is looked at in steps of this: the rate at which the thesis's recordings are annotated."""

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stream.bounded import arrays, reading
-from stream.chunk import Array, Samples
-from stream.errors import KinegraphError
-from stream.tables import read_records
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.data.bounded import arrays, reading
+from kinegraph.stream.data.tables import read_records
+from kinegraph.stream.errors import KinegraphError
 
 TRANSITIONS = {"", "-", "-1", "?", "transition", "uncertain", "none", "nan"}
 """Labels, in small letters, of what is no action."""

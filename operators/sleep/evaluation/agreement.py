@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stream.chunk import Samples
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE, States
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.sleep.evaluation.agreement import Limits, limits
-from operators.sleep.evaluation.comparison import Pair, total
-from operators.sleep.evaluation.persons import (
+from kinegraph.operators.sleep.evaluation.agreement import Limits, limits
+from kinegraph.operators.sleep.evaluation.comparison import Pair, total
+from kinegraph.operators.sleep.evaluation.persons import (
     LEAST_POINTS,
     MEASURES,
     METRICS,
@@ -27,7 +27,7 @@ from operators.sleep.evaluation.persons import (
     spread,
     trend,
 )
-from stream.chunk import NS, Samples
+from kinegraph.stream.chunk import NS, Samples
 
 NOT_GIVEN = "not given"
 STUDY = {

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
-from stream.complete import private_folder
-from stream.errors import KinegraphError
-from stream.plain import say
-from stream.tables import read_records
+from kinegraph.stream.data.tables import read_records
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.atomic_file import private_folder
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from operators.sleep.evaluation.comparison import Pair
+    from kinegraph.operators.sleep.evaluation.comparison import Pair
 
 
 def sleep(
@@ -63,8 +63,8 @@ def sleep(
 
     An EDF file says no time zone: both then go by the clock on the wall. epochs.csv and recordings are in UTC.
     """
-    from operators.sleep.evaluation.comparison import NOTE, tables
-    from stream.screen import Screen
+    from kinegraph.operators.sleep.evaluation.comparison import NOTE, tables
+    from kinegraph.stream.text.screen import Screen
 
     pairs: list[Pair] = []
     groups: dict[str, list[Pair]] = {}
@@ -93,7 +93,7 @@ Wanted: TypeAlias = tuple[str, str, File, tuple[File, str, float]]
 
 def _wanted(estimate: File | None, reference: File | None, nights: File | None, offset: float) -> list[Wanted]:
     """What is to be compared with what. Raises KinegraphError."""
-    from stream.batch.evaluated import compared
+    from kinegraph.stream.batch.evaluated import compared
 
     return compared(
         estimate,
@@ -109,8 +109,8 @@ def _wanted(estimate: File | None, reference: File | None, nights: File | None, 
 def _pair(
     name: str, estimate: File, reference: File, person: str, offset_s: float, stream: str, epoch_s: float
 ) -> Pair:
-    from operators.sleep.evaluation.comparison import pair
-    from operators.sleep.evaluation.reference import read_hypnogram
+    from kinegraph.operators.sleep.evaluation.comparison import pair
+    from kinegraph.operators.sleep.evaluation.reference import read_hypnogram
 
     found = read_hypnogram(estimate, stream=stream, epoch_s=epoch_s)
     truth = read_hypnogram(reference, epoch_s=epoch_s)
@@ -146,7 +146,7 @@ def _rows(table: File) -> list[tuple[File, tuple[File, str, float]]]:
 
 def _study(wanted: list[Wanted], report: File | None, study: File | None, overwrite: bool) -> dict[str, str]:
     """What the study's table says; whether there can be a report is known before anything is reckoned. Raises KinegraphError."""
-    from operators.sleep.evaluation.report import free, read_study
+    from kinegraph.operators.sleep.evaluation.report import free, read_study
 
     if report is None:
         if study:
@@ -161,8 +161,8 @@ def _study(wanted: list[Wanted], report: File | None, study: File | None, overwr
 
 
 def _report(pairs: list[Pair], wanted: list[Wanted], told: dict[str, str], nights: File | None, folder: File) -> None:
-    from operators.sleep.evaluation.checklist import Evaluated
-    from operators.sleep.evaluation.report import write_report
+    from kinegraph.operators.sleep.evaluation.checklist import Evaluated
+    from kinegraph.operators.sleep.evaluation.report import write_report
 
     rows = [row for _, row in read_records(nights)] if nights else []
     left_out = [(row.get("estimate") or "", why) for row in rows if (why := (row.get("exclude") or "").strip())]
@@ -171,8 +171,8 @@ def _report(pairs: list[Pair], wanted: list[Wanted], told: dict[str, str], night
 
 
 def _write(pairs: list[Pair], folder: File, overwrite: bool) -> None:
-    from operators.sleep.evaluation.comparison import write_table
-    from operators.sleep.evaluation.pictures import draw
+    from kinegraph.operators.sleep.evaluation.comparison import write_table
+    from kinegraph.operators.sleep.evaluation.pictures import draw
 
     picture, sheet = folder / "agreement.png", folder / "nights.csv"
     for path in (picture, sheet):

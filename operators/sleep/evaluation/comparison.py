@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from operators.sleep.evaluation.agreement import Confusion, Limits, interval, limits
-from operators.sleep.evaluation.reference import Hypnogram
-from stream.chunk import NS, Times
-from stream.errors import KinegraphError
-from stream.sheet import Sheet
-from stream.sleep_night import UNKNOWN, Night, States, night
+from kinegraph.operators.sleep.evaluation.agreement import Confusion, Limits, interval, limits
+from kinegraph.operators.sleep.evaluation.reference import Hypnogram
+from kinegraph.stream.chunk import NS, Times
+from kinegraph.stream.data.csv_writer import Sheet
+from kinegraph.stream.domain.night import UNKNOWN, Night, States, night
+from kinegraph.stream.errors import KinegraphError
 
 if TYPE_CHECKING:
     from rich.table import Table

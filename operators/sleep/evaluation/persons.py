@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.sleep.evaluation.agreement import Confusion
-from operators.sleep.evaluation.comparison import Pair, total
-from stream.chunk import Samples
-from stream.sleep_night import Night
+from kinegraph.operators.sleep.evaluation.agreement import Confusion
+from kinegraph.operators.sleep.evaluation.comparison import Pair, total
+from kinegraph.stream.chunk import Samples
+from kinegraph.stream.domain.night import Night
 
 MEASURES = {"tst": ("TST", "min"), "se": ("SE", "%"), "sol": ("SOL", "min"), "waso": ("WASO", "min")}
 METRICS = (

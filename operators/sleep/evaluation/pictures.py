@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from operators.sleep.evaluation.agreement import Limits
-from operators.sleep.evaluation.comparison import NOTE, NUMBERS, Pair, agreement
-from stream.chunk import NS, Samples
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE
+from kinegraph.operators.sleep.evaluation.agreement import Limits
+from kinegraph.operators.sleep.evaluation.comparison import NOTE, NUMBERS, Pair, agreement
+from kinegraph.stream.chunk import NS, Samples
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from operators.sleep.scorer import EPOCH
-from stream.bounded import reading
-from stream.chunk import NS, Times
-from stream.errors import KinegraphError, RecordingError
-from stream.sleep_night import SLEEP, UNKNOWN, WAKE, States
+from kinegraph.operators.sleep.scorer import EPOCH
+from kinegraph.stream.chunk import NS, Times
+from kinegraph.stream.data.bounded import reading
+from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE, States
+from kinegraph.stream.errors import KinegraphError, RecordingError
 
 STAGES = {
     **dict.fromkeys(("w", "wake", "0", "awake"), WAKE),
@@ -185,7 +185,7 @@ def _moment(text: str) -> tuple[int, bool]:
 
 
 def _recording(path: Path, stream: str) -> Hypnogram:
-    from stream.batch.sessions import open_session
+    from kinegraph.stream.batch.sessions import open_session
 
     with open_session(path) as opened:
         found = [name for name, s in opened.streams.items() if s.spec.dtype == EPOCH]

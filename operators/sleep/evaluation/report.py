@@ -7,13 +7,13 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from operators.sleep.evaluation.checklist import NOT_GIVEN, STUDY, Evaluated, checklist
-from operators.sleep.evaluation.comparison import NOTE
-from operators.sleep.evaluation.persons import MEASURES, METRICS, by_person
-from stream.complete import complete, private_folder
-from stream.errors import KinegraphError
-from stream.sheet import sheet_text
-from stream.tables import read_records
+from kinegraph.operators.sleep.evaluation.checklist import NOT_GIVEN, STUDY, Evaluated, checklist
+from kinegraph.operators.sleep.evaluation.comparison import NOTE
+from kinegraph.operators.sleep.evaluation.persons import MEASURES, METRICS, by_person
+from kinegraph.stream.data.csv_writer import sheet_text
+from kinegraph.stream.data.tables import read_records
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.atomic_file import complete, private_folder
 
 FILES = ("report.html", "checklist.csv", "persons.csv")
 PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Estimated sleep against a reference</title><style>
@@ -92,7 +92,7 @@ def _persons(of: Evaluated) -> list[Sequence[object]]:
 
 
 def _picture(of: Evaluated) -> str:
-    from operators.sleep.evaluation.pictures import draw
+    from kinegraph.operators.sleep.evaluation.pictures import draw
 
     file = io.BytesIO()
     draw(list(of.pairs)).savefig(file, format="png", dpi=110)

@@ -14,11 +14,11 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from operators.steering.fit import Steering
-from operators.steering.part import Part
-from operators.steering.turns import rigid
-from stream.chunk import Array, Samples
-from stream.html import table_html
+from kinegraph.operators.steering.model.fit import Steering
+from kinegraph.operators.steering.model.part import Part
+from kinegraph.operators.steering.model.turns import rigid
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.text.html import table_html
 
 VIEWS = {"from the side": (2, 1, 0), "from the front": (0, 1, 2)}
 """Axes to the right and up, and the one that is looked along."""

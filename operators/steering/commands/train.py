@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from operators.commands.marker_file import marker_file
-from stream.errors import KinegraphError, nearest
-from stream.plain import say
+from kinegraph.operators.commands.marker_file import marker_file
+from kinegraph.stream.errors import KinegraphError, nearest
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from operators.steering.choose import Method
-    from operators.steering.fit import PoseRegression, Steering
-    from operators.steering.pose_parameters import MarkerGraph
-    from operators.steering.soft import MarkerPull
-    from stream.axes import Axes
-    from stream.chunk import Samples
-    from stream.mesh import Topology
+    from kinegraph.operators.steering.model.choose import Method
+    from kinegraph.operators.steering.model.fit import PoseRegression, Steering
+    from kinegraph.operators.steering.model.pose_parameters import MarkerGraph
+    from kinegraph.operators.steering.model.soft import MarkerPull
+    from kinegraph.stream.chunk import Samples
+    from kinegraph.stream.domain.axes import Axes
+    from kinegraph.stream.domain.mesh import Topology
 
 MOST_FRAMES, STEEP = 400, 0.9
 """Of a longer recording as many frames are taken. A heading whose sine of the angle to the ground is above the second is none."""
@@ -120,13 +120,13 @@ def steering(
     performer: {hoof_fl: LTOE}        # optional: the --performer's points, where they are called otherwise
 
     With --performer the mesh follows somebody of other proportions: frames are paired by the swing and place of each limb, in ranges of
-    motion made equal; --ranges and --pairing say how. The model is used by operators.steering.operator.SteerMesh.
+    motion made equal; --ranges and --pairing say how. The model is used by operators.steering.SteerMesh.
     """
-    from operators.steering.adapt import adapt
-    from operators.steering.choose import choose
-    from operators.steering.stored import KIND, to_arrays
-    from stream.model import write_model
-    from stream.progress import bar
+    from kinegraph.operators.steering.model.adapt import adapt
+    from kinegraph.operators.steering.model.choose import choose
+    from kinegraph.operators.steering.model.stored import KIND, to_arrays
+    from kinegraph.stream.data.model_file import write_model
+    from kinegraph.stream.text.progress import bar
 
     asked = {"alignment": alignment, "shapes": shapes, "blend": blend}
     ways = {"pose": pose, "regression": regression, "skeleton": skeleton, **asked}
@@ -151,7 +151,7 @@ def steering(
         model, how, off, pull = choose(frames, *given, way, how=poses, performed=other_body, progress=progress)  # type: ignore[arg-type]
     told = {"method": how, **ways}
     if report:
-        from operators.steering.commands.report import write_report
+        from kinegraph.operators.steering.commands.report import write_report
 
         error = write_report(
             report, f"{output.name}: {topology.name or 'a mesh'}", model, how, off, frames, topology.faces,
@@ -179,7 +179,7 @@ def _refuse(
     overwrite: bool,
 ) -> None:
     """Raises KinegraphError for files that are there and a method that is not."""
-    from operators.steering.choose import METHODS
+    from kinegraph.operators.steering.model.choose import METHODS
 
     for place in (output, report):
         if place and place.exists() and not overwrite:
@@ -220,8 +220,8 @@ def _fewest(frames: Samples, mesh: Topology, most: int, goal: float, method: str
     """How few parts --part-error asks for."""
     import numpy as np
 
-    from operators.steering.parts import edges_of, fewest_parts, seams_of
-    from stream.progress import bar
+    from kinegraph.operators.steering.model.parts import edges_of, fewest_parts, seams_of
+    from kinegraph.stream.text.progress import bar
 
     if method in ("straight", "local"):
         raise KinegraphError(f"--part-error: --method {method} has no parts; leave one of them out")
@@ -292,9 +292,9 @@ def _poses(
     assembly: dict[str, str],
 ) -> PoseRegression:
     """What --pose, --regression, --skeleton, --alignment, --shapes and --blend ask for."""
-    from operators.steering.choose import regression_of
-    from operators.steering.pose_parameters import POSES
-    from operators.steering.regression import REGRESSIONS
+    from kinegraph.operators.steering.model.choose import regression_of
+    from kinegraph.operators.steering.model.pose_parameters import POSES
+    from kinegraph.operators.steering.model.regression import REGRESSIONS
 
     pose, regression, skeleton = options
     for name, asked, known in (("pose", pose, POSES), ("regression", regression, REGRESSIONS)):
@@ -312,8 +312,8 @@ def _body_graph(
     frames: Samples, mesh: Topology, markers: File, said: dict[str, Any], asked: dict[str, str], *, performer: bool
 ) -> MarkerGraph | None:
     """The graph that --ranges graph and --pairing swing go by; None where neither is asked for."""
-    from operators.steering.adapt import PAIRINGS, RANGES
-    from operators.steering.choose import regression_of
+    from kinegraph.operators.steering.model.adapt import PAIRINGS, RANGES
+    from kinegraph.operators.steering.model.choose import regression_of
 
     for name, known in (("ranges", RANGES), ("pairing", PAIRINGS)):
         if asked[name] not in known:
@@ -335,9 +335,9 @@ def _frames(recordings: list[File]) -> tuple[Samples, Topology, Axes | None]:
     """All frames of the one mesh that the recordings hold, and the axes that these declare."""
     import numpy as np
 
-    from stream.axes import Axes
-    from stream.batch.sessions import open_session, sessions_at
-    from stream.mesh import Topology
+    from kinegraph.stream.batch.sessions import open_session, sessions_at
+    from kinegraph.stream.domain.axes import Axes
+    from kinegraph.stream.domain.mesh import Topology
 
     found: list[Any] = []
     axes: Axes | None = None
@@ -377,10 +377,10 @@ def _performed(path: File, names: tuple[str, ...], axes: Axes | None) -> Samples
     """
     import numpy as np
 
-    from operators.inputs.directions import turned_to
-    from operators.inputs.lengths import metres
-    from operators.inputs.marker_columns import marker_columns
-    from stream.batch.sessions import open_session, sessions_at
+    from kinegraph.operators.inputs.directions import turned_to
+    from kinegraph.operators.inputs.lengths import metres
+    from kinegraph.operators.inputs.marker_columns import marker_columns
+    from kinegraph.stream.batch.sessions import open_session, sessions_at
 
     known: list[str] = []
     for session in sessions_at([path]):

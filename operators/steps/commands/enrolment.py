@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from operators.steps.commands.validation import Labelled, forest
-from operators.steps.step_kernel import chosen
-from stream.chunk import Array, Samples
-from stream.errors import KinegraphError
+from kinegraph.operators.steps.commands.validation import Labelled, forest
+from kinegraph.operators.steps.step_kernel import chosen
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.errors import KinegraphError
 
 
 @dataclass(frozen=True, slots=True)

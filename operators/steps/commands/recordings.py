@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from operators.steps.commands.validation import Labelled
-from operators.steps.steps import STEP, Steps
-from stream.batch.sessions import open_session, recording_name
-from stream.chunk import FOREVER, Array, Chunk, StreamSpec
-from stream.errors import InputError, KinegraphError, nearest
+from kinegraph.operators.steps.commands.validation import Labelled
+from kinegraph.operators.steps.steps import STEP, Steps
+from kinegraph.stream.batch.sessions import open_session, recording_name
+from kinegraph.stream.chunk import FOREVER, Array, Chunk, StreamSpec
+from kinegraph.stream.errors import InputError, KinegraphError, nearest
 
 GROUPS = ("low", "middle", "high")
 

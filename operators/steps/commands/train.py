@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stream.errors import KinegraphError
-from stream.optional import optional
-from stream.plain import say
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.system.extras import optional
+from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from operators.steps.commands.enrolment import Enrolment
-    from operators.steps.commands.training import StepTraining
-    from operators.steps.commands.validation import Trust
+    from kinegraph.operators.steps.commands.enrolment import Enrolment
+    from kinegraph.operators.steps.commands.training import StepTraining
+    from kinegraph.operators.steps.commands.validation import Trust
 
 
 class StepTarget(StrEnum):
@@ -86,10 +86,10 @@ def steps(
     Only the second says how it does with people it has never seen. Needs scikit-learn: pip install 'kinegraph[train]'.
     """
     optional("sklearn", "training", "pip install 'kinegraph[train]'")
-    from operators.steps.commands.recordings import labelled, read_labels, read_walk
-    from operators.steps.commands.training import learned
-    from operators.steps.steps import Steps
-    from stream.batch.sessions import sessions_at
+    from kinegraph.operators.steps.commands.recordings import labelled, read_labels, read_walk
+    from kinegraph.operators.steps.commands.training import learned
+    from kinegraph.operators.steps.steps import Steps
+    from kinegraph.stream.batch.sessions import sessions_at
 
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")
@@ -126,7 +126,7 @@ def show(made: StepTraining, title: str, sure: float) -> None:
 def show_trust(found: list[Trust], title: str) -> None:
     from rich.table import Table
 
-    from stream.screen import Screen
+    from kinegraph.stream.text.screen import Screen
 
     table = Table(title=title, box=None, title_justify="left")
     for heading in ("features", "random split", "subject-wise", "majority", "people right", "95 %", "chance", ""):

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from operators.steps.commands.enrolment import Enrolment, enrolment
-from operators.steps.commands.validation import SETS, Labelled, Trust, fitted, trust, uncertain_below
-from operators.steps.forest import Forest, StepModel
-from operators.steps.step_kernel import chosen
+from kinegraph.operators.steps.commands.enrolment import Enrolment, enrolment
+from kinegraph.operators.steps.commands.validation import SETS, Labelled, Trust, fitted, trust, uncertain_below
+from kinegraph.operators.steps.forest import Forest, StepModel
+from kinegraph.operators.steps.step_kernel import chosen
 
 PERSON = "person"
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from operators.steps.classifier import wilson
-from operators.steps.step_kernel import chosen
-from stream.chunk import Array, Samples
-from stream.errors import KinegraphError
+from kinegraph.operators.steps.classifier import wilson
+from kinegraph.operators.steps.step_kernel import chosen
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.errors import KinegraphError
 
 SHUFFLED_STEPS = 40
 SETS = ("acceleration", "angular_velocity", "both")

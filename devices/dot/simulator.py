@@ -1,0 +1,73 @@
+"""A simulated Movella DOT on a shank, as its Bluetooth LE services have it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from kinegraph.devices.ble.simulated_radio import in_reach
+from kinegraph.devices.dot import protocol as protocol
+from kinegraph.devices.dot.protocol import DotMode
+from kinegraph.devices.dot.source import MovellaDot
+from kinegraph.stream.chunk import Samples
+
+
+class DotSensor:
+    """Channel k of packet i holds i + 1000 k, so that what is read can be checked; its clock begins at a given time."""
+
+    advertised: tuple[str, ...] = ()
+    services: dict[str, dict[str, list[str]]] = {
+        protocol.SERVICE: {
+            protocol.CONTROL: ["read", "write"],
+            **{c: ["notify"] for c in (protocol.LONG, protocol.MEDIUM, protocol.SHORT)},
+        },
+        protocol.BASE.format("1000"): {protocol.DEVICE_CONTROL: ["read", "write"]},
+    }
+
+    def __init__(self, name: str = "Movella DOT", zero_us: int = (1 << 32) - 2_000_000) -> None:
+        self.name, self._zero_us = name, zero_us
+        self.running: DotMode | None = None
+        self._rate, self._said, self._seconds, self._began = 60, 0, 0.0, 0.0
+
+    def connected(self, yes: bool) -> None: ...
+
+    def hold(self, characteristic: str) -> bytes:
+        return b""
+
+    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+        if characteristic == protocol.DEVICE_CONTROL and data[0] & protocol.RATE_BIT:
+            self._rate = int.from_bytes(data[protocol.RATE_AT : protocol.RATE_AT + 2], "little")
+        elif characteristic == protocol.CONTROL and data[0] == protocol.MEASUREMENT:
+            modes = {mode.number: mode for mode in protocol.MODES.values()}
+            self.running = modes[data[2]] if data[1] else None
+            self._began, self._said = self._seconds, 0
+        return []
+
+    def say(self, seconds: float) -> list[tuple[str, bytes]]:
+        self._seconds = seconds
+        if self.running is None:
+            return []
+        due = int((seconds - self._began) * self._rate)
+        first, self._said = self._said, max(due, self._said)
+        return [(self.running.characteristic, self._packet(self.running, i)) for i in range(first, self._said)]
+
+    def _packet(self, mode: DotMode, number: int) -> bytes:
+        return protocol.build(mode, self._zero_us + round(number * 1e6 / self._rate), self.values(mode, number))
+
+    @staticmethod
+    def values(mode: DotMode, number: int) -> Samples:
+        """The channels (c,) of a packet."""
+        made = number + 1000.0 * np.arange(len(mode.channels))
+        if mode.counts:
+            made[-mode.counts :] = number % 7
+        return np.asarray(made, np.float64)
+
+
+@contextmanager
+def simulated(source: MovellaDot) -> Iterator[MovellaDot]:
+    """What `--simulate` puts in its place."""
+    with in_reach(DotSensor()):
+        yield replace(source, device="Movella DOT")

@@ -1,0 +1,34 @@
+"""What importers find out about files beside their streams: what kind they are, facts, and doubts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from kinegraph.devices.formats.understood import Understood
+
+
+@dataclass(slots=True)
+class Findings:
+    """Of all files of an import.
+
+    kinds   by file: the program and the grammar, in words
+    facts   about session and person, as far as files tell them and nobody is named
+    doubts  what was taken for granted, or contradicts itself; each begins with the file's name
+    """
+
+    kinds: dict[Path, str] = field(default_factory=dict)
+    facts: dict[str, Any] = field(default_factory=dict)
+    doubts: list[str] = field(default_factory=list)
+
+    def of(self, made: Understood) -> None:
+        """Take over what was found in a file; a fact that another file tells otherwise is doubted."""
+        self.kinds[made.path] = made.kind
+        self.doubts += [f"{made.path.name}: {doubt}" for doubt in made.doubts]
+        for key, value in made.facts.items():
+            if self.facts.setdefault(key, value) != value:
+                self.doubts.append(
+                    f"{made.path.name}: gives {key} {value}, another file {self.facts[key]}: the first is kept"
+                )

@@ -1,0 +1,131 @@
+"""Other programs' formats in: what an importer is, which there are, and files read by those that know them.
+
+An importer is an entry point of the group `kinegraph.importers`, so that any package can add a format to `kinegraph import`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeAlias
+
+from kinegraph.devices.formats.installed import installed
+from kinegraph.stream.errors import RecordingError
+
+if TYPE_CHECKING:
+    from kinegraph.devices.formats.column_table import Wishes
+    from kinegraph.stream.recording.series import Series
+
+GROUP = "kinegraph.importers"
+Reader: TypeAlias = "Callable[[Sequence[Path], Wishes, bool], tuple[list[Series], Wishes]]"
+
+
+@dataclass(frozen=True, slots=True)
+class Importer:
+    """A kind of file.
+
+    what      in words, for the help: "XDF"
+    suffixes  what the names of such files end in: (".xdf", ".xdfz")
+    read      takes all files of this kind, what is wished of streams, and whether no other importer follows; gives the streams, and the
+              wishes that concern other files. Raises RecordingError that names the file
+    order     of several importers the lower is asked first; one that takes every wish for its own comes late
+    claims    whether a file is of this kind by its content (its path, its first bytes), whatever its name ends in; None: by its name only
+    untried   whether no file of a real program was at hand to try it on: such files are refused unless that is wished
+    """
+
+    what: str
+    suffixes: tuple[str, ...]
+    read: Reader
+    order: int = 50
+    claims: Callable[[Path, bytes], bool] | None = None
+    untried: bool = False
+
+
+@cache
+def importers() -> dict[str, Importer]:
+    """All that are installed, by name; raises KinegraphError for one that cannot be loaded."""
+    return installed(GROUP, "importer")
+
+
+HEAD = 1 << 16
+"""Bytes of a file that show its kind."""
+
+
+def listed() -> str:
+    """For the help: what can be imported."""
+    return "; ".join(f"{one.what}: {', '.join(one.suffixes)}" for one in importers().values())
+
+
+def importer_of(file: Path, by_suffix: Mapping[str, Importer]) -> Importer:
+    """The importer that claims a file by its content, else the one of its suffix. Raises RecordingError for what nobody knows."""
+    head = _head(file)
+    if not head and file.is_file() and file.stat().st_size == 0:
+        raise RecordingError(f"{file}: the file is empty")
+    for one in sorted(importers().values(), key=lambda one: one.order):
+        if head and one.claims is not None and one.claims(file, head):
+            return one
+    found = by_suffix.get(file.suffix.lower())
+    if found is None:
+        if head.startswith(b"\x89MCAP"):
+            raise RecordingError(f"{file}: is a recording already; `kinegraph info` shows it")
+        raise RecordingError(
+            f"{file}: its content does not show what kind of file this is; its name must end in {', '.join(sorted(by_suffix))}"
+        )
+    return found
+
+
+def _head(file: Path) -> bytes:
+    try:
+        with file.open("rb") as opened:
+            return opened.read(HEAD)
+    except OSError:
+        return b""
+
+
+def _suffixes(kinect: bool) -> dict[str, Importer]:
+    """By suffix, the importer of files that no one claims: one that claims none comes before those that do."""
+    every = sorted(importers().values(), key=lambda one: one.claims is None)
+    by_suffix = {suffix: one for one in every for suffix in one.suffixes}
+    if kinect:
+        by_suffix |= dict.fromkeys(importers()["table"].suffixes, importers()["motion"])
+        by_suffix[".npz"] = importers()["table"]
+    return by_suffix
+
+
+def read_files(files: Sequence[Path], wishes: Wishes, *, kinect: bool = False) -> list[Series]:
+    """The streams of all files, each kind by its own importer; `kinect`: tables hold the joints of a skeleton. Raises RecordingError."""
+    by_suffix = _suffixes(kinect)
+    kinds: list[tuple[Importer, list[Path]]] = []
+    for file in files:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise RecordingError(f"{file}: is a pipe or a device; write what comes out of it to a file first")
+        one = (
+            by_suffix[file.suffix.lower()]
+            if kinect and file.suffix.lower() in by_suffix
+            else importer_of(file, by_suffix)
+        )
+        mine = next((mine for other, mine in kinds if other is one), None)
+        if mine is None:
+            kinds.append((one, [file]))
+        else:
+            mine.append(file)
+    kinds.sort(key=lambda kind: kind[0].order)
+    series: list[Series] = []
+    for one, mine in kinds:
+        if one.untried and not wishes.untried:
+            raise RecordingError(
+                f"{mine[0]}: the reader of {one.what} files was only tried on files that we wrote ourselves, never on a real export; "
+                "--untried reads it all the same: compare what --preview shows with the program that wrote the file"
+            )
+        try:
+            made, wishes = one.read(mine, wishes, one is kinds[-1][0])
+        except RecordingError as error:
+            if any(str(file) in str(error) for file in mine):
+                raise
+            raise RecordingError(f"{', '.join(map(str, mine))}: {error}") from None
+        for file in mine:
+            wishes.findings.kinds.setdefault(file, one.what)
+        series += made
+    return series

@@ -1,0 +1,120 @@
+"""Files of laboratories' programs with what somebody says about their streams: names, units, rates, facts, the start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from kinegraph.devices.formats.column_table import Wishes, positive
+from kinegraph.devices.formats.importer import Reader
+from kinegraph.devices.formats.timing import plain_unit
+from kinegraph.devices.formats.understood import Asked, RateMissing, Understood
+from kinegraph.stream.data.bounded import reading
+from kinegraph.stream.errors import RecordingError, nearest
+from kinegraph.stream.recording.series import Series
+
+Grammar = Callable[[Path, Asked], Understood]
+PREVIEW_HZ = 1.0
+"""Replaces an unknown rate, where a file is only looked at."""
+
+
+def reader(kind: str, read: Grammar) -> Reader:
+    """An importer's reader of files that `read` understands; `kind` completes the sentence "cannot be read as ..."."""
+
+    def read_all(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
+        made: list[Series] = []
+        for file in files:
+            if not file.is_file():
+                raise RecordingError(f"{file}: there is no such file")
+            with reading(file, kind), np.errstate(all="ignore"):
+                made += _placed(_understood(file, read, wishes), wishes)
+        return renamed(made, wishes, alone=last)
+
+    return read_all
+
+
+def _understood(file: Path, read: Grammar, wishes: Wishes) -> Understood:
+    asked = Asked(_rate(file, wishes), _said(wishes.unit, file), wishes.skip_rows or 0, wishes.repeated)
+    try:
+        return read(file, asked)
+    except RateMissing as error:
+        if not wishes.preview:
+            raise
+        made = read(file, replace(asked, rate_hz=PREVIEW_HZ))
+        made.doubt(f"{str(error).removeprefix(f'{file}: ')}; times below count samples")
+        return made
+
+
+def _placed(made: Understood, wishes: Wishes) -> list[Series]:
+    """The series at their time: as somebody says, as the file does, or from 1970 on; what was found is noted."""
+    wishes.findings.of(made)
+    begin = wishes.begin if wishes.begin is not None else made.begin or 0
+    for one in made.series:
+        one.time = one.time + begin
+        if one.spec.is_event and "onset" in (one.spec.dtype.names or ()):
+            one.data = one.data.copy()
+            one.data["onset"] += begin
+    return made.series
+
+
+def renamed(made: Sequence[Series], wishes: Wishes, *, alone: bool) -> tuple[list[Series], Wishes]:
+    """The series, those chosen by --stream NAME=STREAM under their new names; unit, scale and meta as wished; and what concerns others."""
+    known = [one.name for one in made]
+    chosen = {name: parts[0] for name, parts in wishes.streams.items() if parts and parts[0] in known}
+    by_name = {one.name: one for one in made}
+    taken = [replace(by_name[old], name=new) for new, old in chosen.items()] if chosen else list(made)
+    names = {one.name: (one.name, chosen.get(one.name, one.name)) for one in taken}
+    for one in taken:
+        _changed(one, names[one.name], wishes)
+    said = {key for pair in names.values() for key in pair} | {key.partition(".")[0] for key in known}
+    rest = replace(
+        wishes,
+        streams={name: parts for name, parts in wishes.streams.items() if name not in chosen},
+        meta={name: facts for name, facts in wishes.meta.items() if name not in said},
+        rate={name: v for name, v in wishes.rate.items() if name not in said},
+        unit={name: v for name, v in wishes.unit.items() if name not in said},
+        scale={name: v for name, v in wishes.scale.items() if name not in said},
+    )
+    if alone:
+        _nothing_left(rest, known)
+    return taken, rest
+
+
+def _changed(one: Series, names: tuple[str, ...], wishes: Wishes) -> None:
+    if facts := {key: value for name in names for key, value in wishes.meta.get(name, {}).items()}:
+        one.spec = one.spec.derive(meta={**one.spec.meta, **facts})
+    if one.spec.is_event:
+        return
+    unit = next((wishes.unit[name] for name in names if name in wishes.unit), "")
+    if not unit and not any(one.spec.units):
+        unit = wishes.unit.get("", "")
+    if unit:
+        one.spec = one.spec.derive(units=(plain_unit(unit),))
+    if scale := next((wishes.scale[name] for name in (*names, "") if name in wishes.scale), ""):
+        one.data = one.data * positive(scale, "--scale")
+
+
+def _nothing_left(rest: Wishes, known: Sequence[str]) -> None:
+    for name, parts in rest.streams.items():
+        what = ",".join(parts)
+        raise RecordingError(f"--stream {name}={what}: there is no such stream in these files; {nearest(what, known)}")
+    for option in ("rate", "unit", "scale", "meta"):
+        for name in filter(None, getattr(rest, option)):
+            raise RecordingError(f"--{option} {name}=...: no such stream is made; {nearest(name, known)}")
+    for option in ("events", "time", "time_unit", "counter", "names"):
+        if getattr(rest, option):
+            raise RecordingError(f"--{option.replace('_', '-')}: these files say this themselves; leave it out")
+
+
+def _said(option: Mapping[str, str], file: Path) -> str:
+    mine = [name for name in option if name == file.stem]
+    return option[mine[0]] if mine else option.get("", "")
+
+
+def _rate(file: Path, wishes: Wishes) -> float | None:
+    mine = [name for name in wishes.rate if name == file.stem or name.startswith(f"{file.stem}.")]
+    told = wishes.rate[mine[0]] if mine else wishes.rate.get("", "")
+    return positive(told, "--rate") if told else None

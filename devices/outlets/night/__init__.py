@@ -1,5 +1,0 @@
-"""Nights on the disk: a log written epoch by epoch, and in the morning a report of what it holds."""
-
-from devices.outlets.night.log import NightLog
-
-__all__ = ["NightLog"]

@@ -1,5 +1,0 @@
-"""A session's report: a page that a clinician can read and print, and a table of every cycle."""
-
-from devices.outlets.report.session import SessionReport
-
-__all__ = ["SessionReport"]

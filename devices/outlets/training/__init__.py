@@ -1,5 +1,0 @@
-"""A training session's report: sets, repetitions, tempo, rest, and how well they were done."""
-
-from devices.outlets.training.report import TrainingReport
-
-__all__ = ["TrainingReport"]

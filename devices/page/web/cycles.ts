@@ -1,0 +1,235 @@
+// Cycles as they close: per channel the mean with its band, and the last cycle over it; the modes of its activation peaks, and target bands.
+
+import { colour, type Page, Panel, shade, Sheet, type Span } from "./panel";
+import type { Newest, Stream } from "./store";
+import type { Cell, PanelInfo } from "./wire";
+
+const CELL_WIDTH = 150;
+const [CELL_LEAST, CELL_MOST, CELL_SHAPE] = [92, 190, 0.62];
+const ROOM = 420;
+const PAD = 6;
+const HEAD = 18;
+
+const field = (stream: Stream, name: string): number => stream.info.fields.findIndex(([f]) => f === name) + 1;
+const has = (stream: Stream, ...names: string[]): boolean => names.every((name) => field(stream, name) > 0);
+
+/** Panels' streams: the mean, its standard deviation, the cycles themselves, the low and high end of normative bands; then events: modes, targets. */
+export class CyclesPanel extends Panel {
+  private readonly sheet = new Sheet(this.body, this.height);
+  private drawn = -1;
+
+  constructor(info: PanelInfo, streams: Stream[], page: Page) {
+    super(info, streams, page);
+    this.sheet.canvas.setAttribute("role", "img");
+  }
+
+  override restyle(): void {
+    this.drawn = -1;
+  }
+
+  draw(span: Span): void {
+    const [mean, sd, last, low, high] = this.streams.filter((s) => s.info.kind !== "events");
+    const modes = this.streams.find((s) => has(s, "name", "number", "place_pct", "height", "sd_pct", "sd_height", "correlation"));
+    const targets = this.streams.find((s) => has(s, "name", "number", "from_pct", "to_pct", "low", "high", "state"));
+    let [ellipses, bands, norms] = [0, 0, 0];
+    const names = mean?.info.channels ?? [];
+    const order = sideBySide(names);
+    const [columns, tall] = this.grid(names.length, order !== null);
+    const until = this.page.recording ? span.at : Infinity;
+    const seen = [modes, targets].map((s) => (s ? newestOf(s, until).reduce((n, row) => Math.max(n, row[0] as number), 0) : 0));
+    const state = this.streams.reduce((n, s) => n * 31 + s.count, columns * 7 + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
+    if (state === this.drawn) return;
+    this.drawn = state;
+    this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * tall}px`;
+    this.element.dataset["cell"] = String(tall);
+    this.element.dataset["columns"] = String(columns);
+    const pen = this.sheet.clear();
+    const cell = this.sheet.width / columns;
+    const scales: Range[] = [];
+    const ranges = names.map((_, c) => this.range(c, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null));
+    (order ?? names.map((_, c) => c)).forEach((c, place) => {
+      const name = names[c] as string;
+      const [x, y] = [(place % columns) * cell, Math.floor(place / columns) * tall];
+      const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: tall - HEAD - PAD, least: 0, most: 1 };
+      [box.least, box.most] = scales[c] = (order ? shared(ranges, order, place) : ranges[c]) as Range;
+      this.drawChannel(pen, c, name, box, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
+      if (low?.newest && high?.newest) norms += drawNorm(pen, column(low.newest, c), column(high.newest, c), box);
+      if (targets) bands += drawTargets(pen, targets, newestOf(targets, until, name), box);
+      if (modes) ellipses += drawModes(pen, modes, newestOf(modes, until, name), box);
+    });
+    this.element.dataset["scales"] = JSON.stringify(scales);
+    if (high) this.element.dataset["norms"] = String(norms);
+    if (modes) this.element.dataset["ellipses"] = String(ellipses);
+    if (targets) this.element.dataset["targets"] = String(bands);
+    this.note.textContent = last?.newest ? `${last.newest.count ? `${last.newest.count} cycles; ` : ""}line: last, band: mean ± SD${modes ? ", ellipses: modes of its peaks" : ""}${targets ? ", boxes: targets" : ""}${norms ? ", dashed: norms" : ""}` : "no cycle yet";
+    this.stamp();
+    this.element.dataset["cycles"] = String((last ?? mean)?.newest?.count ?? 0);
+    this.sheet.canvas.setAttribute("aria-label", `${names.length} channels, ${this.note.textContent}`);
+  }
+
+  /** How many cells in a row, and how tall they are: as large as leaves all of them within the panel's room; in pairs, an even number. */
+  private grid(cells: number, pairs: boolean): [number, number] {
+    const wide = this.body.clientWidth;
+    const fit = Math.max(1, Math.min(cells, Math.floor(wide / CELL_WIDTH)));
+    const most = pairs && fit > 1 ? fit - (fit % 2) : fit;
+    const tall = (columns: number) => Math.round(Math.max(CELL_LEAST, Math.min(CELL_MOST, HEAD + (CELL_SHAPE * wide) / columns)));
+    let columns = most;
+    for (let fewer = most - (pairs ? 2 : 1); fewer > 0; fewer -= pairs ? 2 : 1)
+      if (Math.ceil(cells / fewer) * tall(fewer) <= ROOM * (this.info.tall ?? 1)) columns = fewer;
+    return [columns, tall(columns)];
+  }
+
+  /** From where to where a channel's curves reach; from 0, unless they go below it as an angle or a moment does. */
+  private range(c: number, mean: Newest | null, sd: Newest | null, last: Newest | null): Range {
+    const [middle, band, newest] = [mean, sd, last].map((n) => (n ? column(n, c) : []));
+    const known = (values: number[]) => values.filter((v) => v === v);
+    const tops = known([...(middle ?? []).map((m, i) => m + (band?.[i] ?? 0)), ...(newest ?? [])]);
+    const most = this.info.most ?? (Math.max(0, ...tops) || 1);
+    const least = Math.min(0, ...known([...(middle ?? []), ...(newest ?? [])]));
+    return [least < -0.05 * Math.max(most, 0) ? Math.min(least, ...known((middle ?? []).map((m, i) => m - (band?.[i] ?? 0)))) : 0, most];
+  }
+
+  private drawChannel(pen: CanvasRenderingContext2D, c: number, name: string, box: Box, mean: Newest | null, sd: Newest | null, last: Newest | null): void {
+    const { left, width, height, least, most } = box;
+    const top = box.top - HEAD;
+    const [middle, band, newest] = [mean && column(mean, c), sd && column(sd, c), last && column(last, c)];
+    const y = (v: number) => Math.max(box.top, Math.min(box.top + height, level(v, box)));
+    const x = (i: number, n: number) => left + (width * i) / Math.max(1, n - 1);
+    pen.font = "12px system-ui, sans-serif";
+    pen.fillStyle = colour("ink");
+    pen.fillText(name, left, top + 12);
+    pen.fillStyle = colour("dim");
+    pen.textAlign = "right";
+    pen.fillText(`${least < 0 ? `${Number(least.toPrecision(2))} to ` : ""}${Number(most.toPrecision(2))} ${this.streams[0]?.info.units[0] ?? ""}`, left + width, top + 12);
+    pen.textAlign = "left";
+    pen.strokeStyle = colour("rule");
+    pen.strokeRect(left + 0.5, box.top + 0.5, width, height);
+    if (least < 0) pen.strokeRect(left + 0.5, y(0), width, 0);
+    if (middle && band) {
+      pen.beginPath();
+      middle.forEach((m, i) => pen.lineTo(x(i, middle.length), y(m + (band[i] ?? 0))));
+      for (let i = middle.length - 1; i >= 0; i--) pen.lineTo(x(i, middle.length), y((middle[i] as number) - (band[i] ?? 0)));
+      pen.fillStyle = colour("rule");
+      pen.fill();
+    }
+    this.line(pen, middle ?? null, x, y, colour("dim"), 1);
+    this.line(pen, newest ?? null, x, y, shade(c), 1.8);
+  }
+
+  private line(
+    pen: CanvasRenderingContext2D, values: number[] | null, x: (i: number, n: number) => number, y: (v: number) => number, stroke: string, wide: number
+  ): void {
+    if (!values) return;
+    pen.beginPath();
+    let down = false;
+    values.forEach((v, i) => {
+      if (v !== v) down = false;
+      else if (down) pen.lineTo(x(i, values.length), y(v));
+      else {
+        pen.moveTo(x(i, values.length), y(v));
+        down = true;
+      }
+    });
+    pen.strokeStyle = stroke;
+    pen.lineWidth = wide;
+    pen.stroke();
+    pen.lineWidth = 1;
+  }
+}
+
+/** Each left channel with its right one behind it, where all have one ("L_TA", "R_TA"), by their numbers; else null. */
+function sideBySide(names: string[]): number[] | null {
+  const pairs = names.flatMap((name, c) => (/^(L|left)[ _]/.test(name) ? [c, names.indexOf(name.replace(/^L/, "R").replace(/^left/, "right"))] : []));
+  return pairs.length === names.length && new Set(pairs).size === names.length && !pairs.includes(-1) ? pairs : null;
+}
+
+const column = (newest: Newest, c: number): number[] => {
+  const [points, channels] = newest.shape as [number, number];
+  return Array.from({ length: points }, (_, i) => newest.data[i * channels + c] as number);
+};
+
+type Range = [number, number];
+
+interface Box { left: number; top: number; width: number; height: number; least: number; most: number }
+
+const level = (v: number, box: Box): number => box.top + box.height * (1 - (v - box.least) / (box.most - box.least));
+
+/** The range of a left channel and its right one together, so that they can be compared. */
+function shared(ranges: Range[], order: number[], place: number): Range {
+  const pair = [order[place - (place % 2)], order[place - (place % 2) + 1]].map((c) => ranges[c as number] as Range);
+  return [Math.min(...pair.map(([least]) => least)), Math.max(...pair.map(([, most]) => most))];
+}
+
+/** The rows of a channel's latest cycle, until a time; without a channel, of each. A joint mixture ("GM+GL") is each of its channels'. */
+function newestOf(stream: Stream, until: number, channel = ""): Cell[][] {
+  const [name, number] = [field(stream, "name"), field(stream, "number")];
+  const mine = (row: Cell[]) => !channel || String(row[name]) === channel.slice(0, 16) || String(row[name]).split("+").includes(channel);
+  const rows: Cell[][] = [];
+  for (let i = stream.data.rows.length - 1; i >= 0; i--) {
+    const row = stream.data.rows[i] as Cell[];
+    if ((row[0] as number) > until || !mine(row)) continue;
+    if (rows.length && (row[number] !== rows[0]?.[number] || row[name] !== rows[0]?.[name])) break;
+    rows.push(row);
+  }
+  return rows;
+}
+
+/** Ellipses of two standard deviations; one that reaches over the touch-down goes on at the other end. */
+function drawModes(pen: CanvasRenderingContext2D, stream: Stream, rows: Cell[][], box: Box): number {
+  const of = (row: Cell[], name: string) => row[field(stream, name)] as number;
+  pen.save();
+  pen.beginPath();
+  pen.rect(box.left, box.top, box.width, box.height);
+  pen.clip();
+  pen.strokeStyle = colour("ink");
+  pen.globalAlpha = 0.75;
+  for (const row of rows) {
+    const [along, up, rho] = [2 * of(row, "sd_pct"), 2 * of(row, "sd_height"), of(row, "correlation")];
+    for (const turn of [-100, 0, 100]) {
+      pen.beginPath();
+      for (let k = 0; k <= 48; k++) {
+        const [a, b] = [Math.cos((k * Math.PI) / 24), Math.sin((k * Math.PI) / 24)];
+        const place = of(row, "place_pct") + turn + along * a;
+        const height = of(row, "height") + up * (rho * a + Math.sqrt(Math.max(0, 1 - rho * rho)) * b);
+        pen.lineTo(box.left + (box.width * place) / 99, level(height, box));
+      }
+      pen.stroke();
+    }
+  }
+  pen.restore();
+  return rows.length;
+}
+
+/** The two ends of a laboratory's band, dashed; 1 where the channel has one. */
+function drawNorm(pen: CanvasRenderingContext2D, low: number[], high: number[], box: Box): number {
+  if (low.some((v) => v !== v)) return 0;
+  pen.save();
+  pen.setLineDash([4, 3]);
+  pen.strokeStyle = "#12924a";
+  for (const edge of [low, high]) {
+    pen.beginPath();
+    edge.forEach((v, i) => pen.lineTo(box.left + (box.width * i) / Math.max(1, edge.length - 1), Math.max(box.top, Math.min(box.top + box.height, level(v, box)))));
+    pen.stroke();
+  }
+  pen.restore();
+  return 1;
+}
+
+/** The band that each target asks for, over its phase: green where the last cycle was within, else red; one over the touch-down is two boxes. */
+function drawTargets(pen: CanvasRenderingContext2D, stream: Stream, rows: Cell[][], box: Box): number {
+  const of = (row: Cell[], name: string) => row[field(stream, name)] as number;
+  pen.save();
+  pen.beginPath();
+  pen.rect(box.left, box.top, box.width, box.height);
+  pen.clip();
+  pen.lineWidth = 1.6;
+  for (const row of rows) {
+    const [from, to] = [of(row, "from_pct"), of(row, "to_pct")];
+    const y = (v: number) => level(v, box);
+    pen.strokeStyle = String(row[field(stream, "state")]) === "within" ? "#12924a" : "#d6202e";
+    for (const [a, b] of from <= to ? [[from, to]] : [[from, 100], [0, to]])
+      pen.strokeRect(box.left + (box.width * (a as number)) / 100, y(of(row, "high")), (box.width * ((b as number) - (a as number))) / 100, y(of(row, "low")) - y(of(row, "high")));
+  }
+  pen.restore();
+  return rows.length;
+}

@@ -1,0 +1,5 @@
+"""A simulated treadmill session: EMG, contacts and force of a walk whose truth is known."""
+
+from kinegraph.devices.people.treadmill.source import CONTACT, Treadmill, truth
+
+__all__ = ["CONTACT", "Treadmill", "truth"]

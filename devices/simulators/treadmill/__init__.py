@@ -1,5 +1,0 @@
-"""A simulated treadmill session: EMG, contacts and force of a walk whose truth is known."""
-
-from devices.simulators.treadmill.source import CONTACT, Treadmill, truth
-
-__all__ = ["CONTACT", "Treadmill", "truth"]

@@ -1,0 +1,226 @@
+"""Where the bed is, and which part of it is whose: set by hand, or found as the plateau above the floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+import structlog
+from numpy.typing import NDArray
+
+from kinegraph.operators.bed.frames.regions import REGION, block_of, region_spec
+from kinegraph.operators.bed.frames.view import VIEW, check_view
+from kinegraph.stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
+
+BIN_MM = 50.0
+FLOOR_SHARE = 0.05
+"""The floor: the farthest depth, to 50 mm, at which this share of the frame lies."""
+LEAST_FILLED = 0.6
+"""How much of its rectangle a plateau must fill to be a bed."""
+
+LARGE = 20
+"""A bed of more blocks than this is reported without those at its edge."""
+WIDE = 1.5
+"""Only in a bed that looks this many times wider than long do sleepers lie along the picture's rows."""
+
+Told: TypeAlias = list[tuple[int, str, int, int, int, int, bool]]
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class BedState:
+    """
+    block         pixels
+    sums, counts  (rows, columns)  mean depths of blocks since `begun` (ns), and how many
+    told          whether the regions are out; tries: how often none was found
+    shift         (2,) how far the picture has gone down and to the right since the regions were set (pixels); NaN: nobody knows
+    """
+
+    block: int
+    sums: Samples
+    counts: Times
+    begun: int
+    told: bool
+    tries: int
+    shift: Samples
+
+
+@dataclass(frozen=True, slots=True)
+class BedRegion(Operator[BedState]):
+    """Mean depths of blocks in, one event per sleeper out: the rectangle of pixels where that sleeper lies.
+
+    With `regions` they are reported with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest plateau
+    from `lowest_mm` to `highest_mm` above the floor, if it covers `least_share` of the frame and most of its own rectangle; less a block
+    at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. Several sleepers
+    share it side by side, in the order of their names from the left; from the top, where it looks half as wide again as it is long, for
+    then the camera hangs beside it. That suits a camera that looks down on a bed and some floor; anything else has to be set. While none
+    is found nothing is reported, and it is looked for again.
+
+    When the camera was moved (`view`, of operators.bed.frames.view.View), a region without rows says that it is not known. One that was
+    found
+    is looked for again; one that was set goes with the picture, as far as the frame reaches, if the jump could be measured. If not, it
+    stays unknown, and has to be set again.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("view", "in")
+    acts: ClassVar[tuple[str, ...]] = ("in",)
+    optional: ClassVar[tuple[str, ...]] = ("view",)
+
+    sleepers: tuple[str, ...] = param(("sleeper",), help="the sleepers' names")
+    regions: tuple[tuple[int, int, int, int], ...] = param(
+        (), least=0, help="per sleeper: first row, first column, rows, columns, in pixels; left out: found"
+    )
+    learn_s: float = param(30.0, above=0.0, help="how long to observe before searching for the bed")
+    lowest_mm: float = param(200.0, above=0.0, help="how high above the floor a bed is at least")
+    highest_mm: float = param(1200.0, above=0.0, help="and, with the sleeper in it, at most")
+    least_share: float = param(0.08, above=0.0, most=1.0, help="how much of the frame it covers at least")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        block = block_of(spec, "in")
+        check_view(specs)
+        names = self.sleepers
+        if not names or len(set(names)) < len(names) or any(not 0 < len(name) <= 16 for name in names):
+            raise ParameterError("sleepers", list(names), "different names of at most 16 letters, at least one")
+        if self.regions and len(self.regions) != len(names):
+            raise ParameterError("regions", list(self.regions), f"one for each of {', '.join(names)}")
+        height, width = (side * block for side in spec.shape)
+        for row, column, rows, columns in self.regions:
+            if not (rows and columns and row + rows <= height and column + columns <= width):
+                raise ParameterError("regions", list(self.regions), f"within {height} rows and {width} columns")
+        state = BedState(block, np.zeros(spec.shape), np.zeros(spec.shape, np.int64), NEVER, False, 0, np.zeros(2))
+        self.hold(state, decision_s={"out": 0.0})
+        meta = {key: value for key, value in spec.meta.items() if key != "sleepers"}
+        return {"out": region_spec(names, meta)}
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        s = self.state
+        made: Told = []
+        if port == "view":
+            for stamp, event in zip(chunk.time.tolist(), chunk.data, strict=True):
+                if event["what"] == "moved":
+                    made += self._moved(stamp, float(event["down"]), float(event["right"]))
+        elif len(chunk.time) and not s.told:
+            if self.regions:
+                s.told = True
+                made = self._set(int(chunk.time[0]))
+            else:
+                made = self._look(chunk)
+        out = np.array(made, REGION)
+        return Chunk(out["onset"].copy(), out, chunk.until, chunk.lost if port == "in" else 0)
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        random = np.random.default_rng(14)
+        depth = np.full((12, 16), 2600.0)
+        depth[1:11, 4:12] = 2100.0
+        frames = depth + random.normal(0, 1, (90, 12, 16))
+        frames[random.random(frames.shape) < 0.05] = np.nan
+        meta = {"simplified": {"block": 8, "components": 2}}
+        inputs = {"in": (StreamSpec((12, 16), rate_hz=30.0, units=("mm",), meta=meta), grid(30.0, 90), frames)}
+        view = np.array([(10**9, "moved", 8.0, -16.0), (2 * 10**9, "steady", np.nan, np.nan)], VIEW)
+        moved = {"view": (StreamSpec((), VIEW), view["onset"].copy(), view), **inputs}
+        return [
+            Case(cls(regions=((8, 24, 40, 40),)), moved, least=2),
+            Case(cls(("left", "right"), learn_s=1.0), inputs, least=2),
+            Case(cls(regions=((0, 0, 40, 40),)), inputs, least=1),
+        ]
+
+    def _moved(self, stamp: int, down: float, right: float) -> Told:
+        """The picture has jumped: where the regions are now, or that nobody knows."""
+        s = self.state
+        s.sums[:], s.counts[:], s.begun = 0.0, 0, NEVER
+        s.shift += down, right
+        gone: Told = [(stamp, name, 0, 0, 0, 0, False) for name in self.sleepers]
+        if not self.regions:
+            s.told = False
+            return gone
+        if np.isnan(s.shift).any():
+            log.warning("the camera was moved too far to follow: `regions` hold no more; set them again")
+            return gone
+        return self._set(stamp)
+
+    def _set(self, stamp: int) -> Told:
+        """The regions that were set, where the picture is now."""
+        s = self.state
+        made: Told = []
+        height, width = (side * s.block for side in s.sums.shape)
+        down, right = (round(v) for v in s.shift.tolist())
+        for name, (row, column, rows, columns) in zip(self.sleepers, self.regions, strict=True):
+            top, left = min(max(0, row + down), height), min(max(0, column + right), width)
+            bottom, end = min(max(0, row + down + rows), height), min(max(0, column + right + columns), width)
+            there = bottom > top and end > left
+            made.append((stamp, name, top, left, bottom - top if there else 0, end - left if there else 0, False))
+        return made
+
+    def _look(self, chunk: Chunk) -> Told:
+        s = self.state
+        for i, time in enumerate(chunk.time.tolist()):
+            s.begun = time if s.begun == NEVER else s.begun
+            finite = np.isfinite(chunk.data[i])
+            s.sums[finite] += chunk.data[i][finite]
+            s.counts += finite
+            if time - s.begun < self.learn_s * NS:
+                continue
+            with np.errstate(invalid="ignore"):
+                found = self._found(s.sums / s.counts)
+            s.sums[:], s.counts[:], s.begun = 0.0, 0, NEVER
+            if found is not None:
+                s.told = True
+                return [
+                    (time, name, *part, True)
+                    for name, part in zip(self.sleepers, _shared(found, len(self.sleepers)), strict=True)
+                ]
+            s.tries += 1
+            if s.tries in (4, 20, 100):  # not at once: the warm-up shows it frames without a bed
+                log.warning("no bed is found in the frames; set `regions`", tries=s.tries)
+        return []
+
+    def _found(self, depth: Samples) -> tuple[int, int, int, int] | None:
+        """The bed's rectangle in pixels; None: there is none."""
+        from scipy.ndimage import label
+
+        valid = np.isfinite(depth)
+        if not valid.any():
+            return None
+        bins, counts = np.unique(np.floor(depth[valid] / BIN_MM), return_counts=True)
+        floors = bins[counts >= FLOOR_SHARE * depth.size]
+        if not len(floors):
+            return None
+        above = floors[-1] * BIN_MM - np.where(valid, depth, np.inf)
+        parts, count = label((above >= self.lowest_mm) & (above <= self.highest_mm))
+        sizes = np.bincount(parts.ravel(), minlength=count + 1)
+        sizes[0] = 0
+        if sizes.max() < self.least_share * depth.size:
+            return None
+        bed = parts == int(sizes.argmax())
+        top, bottom = _extent(bed.sum(axis=1))
+        left, right = _extent(bed.sum(axis=0))
+        if bed[top:bottom, left:right].mean() < LEAST_FILLED:
+            return None
+        b = self.state.block
+        return top * b, left * b, (bottom - top) * b, (right - left) * b
+
+
+def _extent(filled: NDArray[np.int64]) -> tuple[int, int]:
+    """From the first to one past the last row (or column) at least half as full as the fullest, less the outermost of a large bed."""
+    full = np.flatnonzero(filled * 2 >= filled.max())
+    inset = int(full[-1] - full[0] >= LARGE)
+    return int(full[0]) + inset, int(full[-1]) + 1 - inset
+
+
+def _shared(bed: tuple[int, int, int, int], count: int) -> list[tuple[int, int, int, int]]:
+    """Equal parts side by side: a camera at the foot of the bed sees sleepers lie along the columns, one beside it along the rows."""
+    row, column, rows, columns = bed
+    if columns < WIDE * rows:
+        cuts = [column + columns * k // count for k in range(count + 1)]
+        return [(row, a, rows, b - a) for a, b in pairwise(cuts)]
+    cuts = [row + rows * k // count for k in range(count + 1)]
+    return [(a, column, b - a, columns) for a, b in pairwise(cuts)]

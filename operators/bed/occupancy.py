@@ -1,0 +1,241 @@
+"""Who is in bed: decided from the beds' depths, second by second, and stretch by stretch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kinegraph.operators.bed.bed_depths import BedDepths
+from kinegraph.operators.bed.bed_events import IN, NAMES, OUT, UNKNOWN
+from kinegraph.operators.bed.bodies import CROWD, CROWD_S, SUSPECT_S, Bodies, share_high
+from kinegraph.operators.bed.visitor import RoamingBody
+from kinegraph.stream.chunk import NEVER, NS, Times
+
+AGAIN = 0.7
+"""Out of bed below this share of what makes in bed."""
+BLIND_S = 300.0
+"""While the empty bed is not known: without movement for this long is an empty bed."""
+DOUBTS = ("", "still", "region", "camera", "dark")
+STILL, ODD, CAMERA, DARK = 1, 2, 3, 4
+ALIVE = 0.005
+"""This much of a region must move (2 blocks at least) to be somebody."""
+
+Rows = list[tuple[int, tuple[Any, ...]]]
+"""Events, and when each was decided."""
+
+
+@dataclass(frozen=True, slots=True)
+class OccupancyLimits:
+    """What is decided by; see the parameters of `operators.bed.presence.Presence`. 0 of `vacant_s`, `unsure_s`, `odd_s`: never."""
+
+    rise_mm: float
+    least_share: float
+    least_valid: float
+    hold_s: float
+    learn_s: float
+    still_mm: float
+    vacant_s: float
+    unsure_s: float
+    odd_s: float
+    unseen_s: float
+
+
+@dataclass(slots=True)
+class Occupancy:
+    """
+    state, wanted (k,)          UNKNOWN, IN or OUT; what the depth has said since `since` (k,) ns; `seen` (k,) ns: when it was last seen
+    still      (k,)             for how many stretches nothing has moved
+    lay        (k,)             whether what may be a body stood out of the mattress in the newest stretch, while the bed was not known
+    doubt      (k,)             why the depth is not believed (of DOUBTS); alive: for how many stretches something has moved; was_in: in
+                                bed when the camera was moved
+    bodies, visitor             one in a region, or two; and whether something small walks about
+    told       (k,)             whether the newest event says `body`
+    """
+
+    sleepers: list[str]
+    limits: OccupancyLimits
+    beds: BedDepths
+    state: Times
+    wanted: Times
+    since: Times
+    seen: Times
+    still: Times
+    lay: Times
+    doubt: Times
+    alive: Times
+    was_in: Times
+    bodies: Bodies
+    visitor: RoamingBody
+    told: Times
+
+    @staticmethod
+    def none(sleepers: tuple[str, ...], shape: tuple[int, ...], limits: OccupancyLimits) -> Occupancy:
+        """Nobody knows of anybody yet. `shape`: (rows, columns) of the frames in blocks."""
+        k = len(sleepers)
+        state, wanted, still, lay, doubt, alive, was_in, told = (np.zeros(k, np.int64) for _ in range(8))
+        return Occupancy(
+            list(sleepers), limits, BedDepths.of(k, shape), state, wanted, np.full(k, NEVER), np.full(k, NEVER), still, lay, doubt, alive,
+            was_in, Bodies.of(k, shape), RoamingBody.of(k, shape), told,
+        )  # fmt: skip
+
+    def end_second(self, end: int, events: Rows) -> None:
+        """What the second that is over at `end` says, and the stretch if it is, too."""
+        self.beds.end_second(self.limits.rise_mm)
+        for k in range(len(self.sleepers)):
+            self._judge(k, end, events)
+        self.visitor.second += 1
+        if end - self.beds.seconds.since >= self.limits.learn_s * NS:
+            for k in range(len(self.sleepers)):
+                self._judge_stretch(k, end, events)
+            self.beds.seconds.since = NEVER
+
+    def look(self, what: str, onset: int, stamp: int, events: Rows) -> None:
+        """The view has become another one."""
+        if what == "moved":
+            self.bodies.moved(self.beds.empty, self.beds.regions)
+            self.visitor.forget()
+            self.beds.forget()
+        for k in range(len(self.sleepers)):
+            if what in ("moved", "dark"):
+                self.was_in[k] = int(self.state[k] == IN or (self.was_in[k] and self.state[k] == UNKNOWN))
+                self.doubt[k] = CAMERA if what == "moved" else DARK
+                self.still[k] = self.alive[k] = 0
+                if self.state[k] != UNKNOWN:
+                    self._become(k, UNKNOWN, onset, stamp, events, str(DOUBTS[self.doubt[k]]))
+            elif self.doubt[k] == DARK:
+                self.doubt[k] = 0
+
+    def forget_unseen(self, until: int, events: Rows) -> None:
+        """Who has not been seen for too long is nobody knows where."""
+        unseen_ns = round(self.limits.unseen_s * NS)
+        due = [(int(self.seen[k]) + unseen_ns, k) for k in range(len(self.sleepers)) if self.state[k] != UNKNOWN]
+        for stamp, k in sorted(d for d in due if d[0] <= until):
+            self.beds.seen_now[k] = np.nan
+            self.doubt[k] = 0
+            self._become(k, UNKNOWN, int(self.seen[k]), stamp, events, "unseen")
+
+    def _judge(self, k: int, end: int, events: Rows) -> None:
+        """What the newest second says."""
+        raised, _, measured = self.beds.seen_now[k]
+        if measured < self.limits.least_valid:
+            self.wanted[k] = self.state[k]
+            return
+        self.seen[k] = end
+        says = int(self.state[k])
+        if raised >= self.limits.least_share:
+            says = IN
+        elif raised < AGAIN * self.limits.least_share:
+            says = OUT
+        self._count_bodies(k, float(raised), end, events)
+        doubt = int(self.doubt[k])
+        if doubt in (CAMERA, DARK) or (doubt == STILL and says == IN) or (doubt == ODD and says == OUT):
+            says = UNKNOWN
+        if says == self.state[k] or says == UNKNOWN:
+            self.wanted[k] = self.state[k]
+            return
+        if self.wanted[k] != says:
+            self.wanted[k], self.since[k] = says, end - NS
+        if end - self.since[k] >= self.limits.hold_s * NS:
+            self._become(k, says, int(self.since[k]), end - 1, events)
+
+    def _count_bodies(self, k: int, raised: float, end: int, events: Rows) -> None:
+        """Learn what one body raises, and notice a second one, or something that walks about."""
+        if self.state[k] != IN:
+            self.bodies.crowd[k] = 0
+            return
+        rise = self.limits.rise_mm
+        changed = self.bodies.count(k, self._times(k))
+        above = self.beds.above(k)
+        if not self.bodies.known(k):
+            self.bodies.learn(k, raised, share_high(above, rise), float(self.beds.seen_now[k, 1]))
+        if not self.beds.known(k):
+            above = self.beds.above_mattress(k)
+        self.visitor.look(k, self.beds.part(k), above, rise)
+        suspected = self.bodies.suspected(k)
+        body = suspected or self.visitor.here(k)
+        if body != bool(self.told[k]):
+            for_s = SUSPECT_S if suspected else CROWD_S if changed else 1
+            events.append((end - 1, self._event(k, end - for_s * NS, "body" if body else "")))
+            self.told[k] = int(body)
+
+    def _times(self, k: int) -> float:
+        """How many times the share of one body is raised now; NaN: not known."""
+        beds, rise = self.beds, self.limits.rise_mm
+        if not self.bodies.known(k):
+            return self.bodies.early(k, share_high(beds.above(k), rise), float(beds.seen_now[k, 1]))
+        return self.bodies.times(k, float(beds.seen_now[k, 0]), beds.seconds.mean, beds.regions, rise)
+
+    def _judge_stretch(self, k: int, end: int, events: Rows) -> None:
+        """What the stretch that is over says: learn the empty bed, or note that somebody is there."""
+        beds, limits = self.beds, self.limits
+        moving, known = beds.moving(k, limits.still_mm), beds.known(k)
+        if moving < 0 or beds.seen_now[k, 2] < limits.least_valid:
+            self.still[k] = 0
+            return
+        if self.doubt[k] == DARK:
+            return
+        lies = not known and beds.lies(k, limits.rise_mm, limits.least_share)
+        self.still[k] *= lies or not self.lay[k]  # what stood out has gone, though nobody saw it go
+        self.lay[k] = int(lies)
+        if moving > max(2.0, ALIVE * beds.regions[k, 2] * beds.regions[k, 3]):
+            self._moves(k, known, end, events)
+            return
+        self.still[k] += 1
+        self.alive[k] = 0
+        quiet_s = int(self.still[k]) * limits.learn_s
+        held = self.state[k] == IN or self.doubt[k] == STILL or bool(self.was_in[k])
+        if lies and not held:
+            self.doubt[k] = STILL
+            self._become(k, UNKNOWN, end - round(quiet_s * NS), end - 1, events, "still", keep=True)
+            return
+        judged = known or bool(self.was_in[k]) or lies
+        patience_s = limits.vacant_s if judged else BLIND_S
+        if self.state[k] == IN and judged and limits.unsure_s and quiet_s >= limits.unsure_s:
+            self.doubt[k] = STILL
+            self._become(k, UNKNOWN, end - round(quiet_s * NS), end - 1, events, "still", keep=True)
+        if held and (not patience_s or quiet_s < patience_s):
+            return
+        beds.learn(k)
+        self.bodies.taken[beds.part(k)] = np.nan
+        self.doubt[k] = self.was_in[k] = 0
+        if self.state[k] != OUT:
+            self._become(k, OUT, end - round(quiet_s * NS), end - 1, events)
+
+    def _moves(self, k: int, known: bool, end: int, events: Rows) -> None:
+        """Something has moved in the stretch that is over."""
+        beds, limits = self.beds, self.limits
+        self.still[k] = 0
+        self.alive[k] = self.alive[k] + 1 if self.state[k] == OUT else 0
+        if self.state[k] == UNKNOWN and (not known or self.doubt[k] in (STILL, CAMERA)):
+            if not known:
+                self.bodies.take(k, beds.part(k), beds.stretch(k), limits.rise_mm)
+            self._become(k, IN, beds.seconds.since, end - 1, events)
+        elif limits.odd_s and self.alive[k] * limits.learn_s >= limits.odd_s:
+            self.doubt[k] = ODD
+            self._become(k, UNKNOWN, end - round(int(self.alive[k]) * limits.learn_s * NS), end - 1, events, "region")
+
+    def _become(
+        self, k: int, state: int, since: int, stamp: int, events: Rows, why: str = "", *, keep: bool = False
+    ) -> None:
+        """Be in another state; `keep`: how long it has been still goes on counting."""
+        if state == IN and self.state[k] == UNKNOWN:
+            # a second one is still there, or came while nobody looked: known at once
+            self.bodies.two[k] = self.bodies.two[k] or self._times(k) >= CROWD
+            why = "body" if self.bodies.two[k] else ""
+        self.told[k] = int(why == "body")
+        self.state[k] = self.wanted[k] = state
+        self.still[k] = self.still[k] if keep else 0
+        self.alive[k] = 0
+        if state != UNKNOWN:
+            self.doubt[k] = 0
+        if state == OUT:
+            self.was_in[k] = 0
+            self.bodies.left(k)
+            self.visitor.left(k)
+        events.append((stamp, self._event(k, since, why)))
+
+    def _event(self, k: int, since: int, why: str) -> tuple[Any, ...]:
+        raised, height, _ = self.beds.seen_now[k]
+        return since, self.sleepers[k], NAMES[self.state[k]], height, raised, why

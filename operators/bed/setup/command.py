@@ -1,0 +1,158 @@
+"""`kinegraph bedside check`: a minute out of bed, a minute in it for each sleeper, and whether a night can be seen like that."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from itertools import accumulate
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.text.safe_text import say
+
+bedside = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True)
+
+
+@bedside.callback()
+def group() -> None:
+    """Set up a depth camera over a bed."""
+
+
+@bedside.command("check", context_settings={"help_option_names": ["-h", "--help"]})
+def check(
+    config: Annotated[Path, typer.Argument(help="the graph, such as bedside.yaml", metavar="CONFIG")],
+    settings: Annotated[list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE")] = None,
+    out_s: Annotated[float, typer.Option("--out", min=10.0, help="how long to stay out of bed, in s")] = 60.0,
+    between_s: Annotated[float, typer.Option("--between", min=0.0, help="how long lying down may take, in s")] = 30.0,
+    in_s: Annotated[float, typer.Option("--in", min=10.0, help="how long to lie still, in s")] = 60.0,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="a simulated camera in the place of the real one")
+    ] = False,
+) -> None:
+    """Stay out of bed for a minute, lie down, and lie still for a minute: says whether the region holds, noise, and light.
+
+    Several sleepers lie down one after the other, in the order of their names; anyone whom their region does not hold learns where it is.
+
+    Nothing is stored. Exit codes: 0 all is well; 2 something is not, or the graph is wrong; 3 the camera is missing.
+    """
+    from kinegraph.operators.bed.setup.graph import small
+    from kinegraph.operators.bed.setup.judgement import judge
+    from kinegraph.stream.cli.commands import logs
+    from kinegraph.stream.cli.commands.run import simulated
+
+    logs.set_up(json=False, verbose=False)
+    made = small(config, settings or [])
+    camera: Any = made.graph.nodes["camera"].part
+    if complaint := getattr(camera, "blind_at_night", ""):
+        raise KinegraphError(f"node 'camera': {complaint}")
+    with simulated(made.graph) if simulate else nullcontext():
+        looks = Looks(made.graph, out_s, between_s, in_s)
+        looks.run()
+    stays = dict(zip(looks.sleepers, looks.minutes[1:], strict=True))
+    findings = judge(looks.minutes[0], stays, looks.regions, looks.block, made.rise_mm, made.least_share)
+    for finding in findings:
+        say(f"{'well' if finding.well else 'NOT WELL'}: {finding.text}")
+    for problem in looks.problems:
+        say(f"NOT WELL: the camera says: {problem}")
+    if looks.problems or not all(finding.well for finding in findings):
+        raise KinegraphError("the night would not be recorded properly; correct this, and check again")
+
+
+class Looks:
+    """A feed that hands the camera's frames straight to the operators, tells people what to do, and keeps each one's minute."""
+
+    again = False
+
+    def __init__(self, graph: Any, out_s: float, between_s: float, in_s: float) -> None:
+        from kinegraph.operators.bed.setup.judgement import Minute
+        from kinegraph.stream.engine.pipeline import Pipeline
+        from kinegraph.stream.system.clock import SessionClock
+
+        self.graph, self.pipeline, self._clock = graph, Pipeline(graph), SessionClock()
+        self.stopped = False
+        self.sleepers: tuple[str, ...] = graph.nodes["bed"].part.sleepers
+        self.regions: dict[str, tuple[int, int, int, int]] = {}
+        self.problems: list[str] = []
+        blocks = self.pipeline.stages["simplify"].edges["blocks"]
+        self.block = int(blocks.spec.meta["simplified"]["block"])
+        self.minutes = [Minute.of(blocks.spec.shape) for _ in range(1 + len(self.sleepers))]
+        """Out of bed, then each in bed, beside those before."""
+        lengths, words = [out_s], [f"stay out of bed for {out_s:g} s, and out of the camera's way"]
+        for name in self.sleepers:
+            who = f"{name}: " if len(self.sleepers) > 1 else ""
+            lengths += [between_s, in_s]
+            words += [f"{who}lie down as you sleep; you have {between_s:g} s", f"{who}lie still for {in_s:g} s"]
+        self._ends, self._words = [round(s * NS) for s in accumulate(lengths)], words
+        self._said, self._begun = -1, -1
+        blocks.observers.append(self._blocks)
+        self.pipeline.stages["view"].edges["out"].observers.append(self._views)
+        self.pipeline.stages["bed"].edges["out"].observers.append(self._bed)
+
+    def run(self) -> None:
+        camera = self.graph.nodes["camera"].part.fresh()
+        camera.prepare()
+        camera.read(self)
+
+    def _phase(self, time: int) -> int:
+        """0: out of bed, 1: the first lies down, 2: is in bed, 3: the second lies down, ...; as many as there are words: over."""
+        if self._begun < 0:
+            self._begun = time
+        phase = sum(time - self._begun >= end for end in self._ends)
+        while self._said < min(phase, len(self._words) - 1):
+            self._said += 1
+            say(self._words[self._said])
+        self.stopped = phase == len(self._words)
+        return phase
+
+    def _blocks(self, chunk: Chunk) -> None:
+        for time, frame in zip(chunk.time.tolist(), chunk.data, strict=True):
+            phase = self._phase(time)
+            if phase % 2 == 0 and not self.stopped:
+                self.minutes[phase // 2].add(np.asarray(frame))
+
+    def _views(self, chunk: Chunk) -> None:
+        for event in chunk.data:
+            stay = min((self._phase(int(event["onset"])) + 1) // 2, len(self.sleepers))
+            self.minutes[stay].views.append(str(event["what"]))
+
+    def _bed(self, chunk: Chunk) -> None:
+        if self._said > 0:
+            return  # a bed that is found with somebody in it is not the empty one
+        for e in chunk.data:
+            row, column, rows, columns = (int(e[name]) // self.block for name in ("row", "column", "rows", "columns"))
+            if rows:
+                self.regions[str(e["sleeper"])] = row, column, max(1, rows), max(1, columns)
+
+    # what a source needs of a feed
+    def emit(self, chunk: Chunk, output: str = "out") -> None:
+        stream = f"camera.{output}"
+        if not self.stopped:
+            self.pipeline.feed(stream, chunk)
+
+    def now(self) -> int:
+        return self._clock.now()
+
+    def wait(self, seconds: float) -> bool:
+        from time import sleep
+
+        sleep(0.0 if self.stopped else seconds)
+        return self.stopped
+
+    def ready(self) -> None: ...
+
+    def hear(self, timeout_s: float) -> str | None:
+        return None
+
+    def identify(self, device: str, **facts: str | float) -> None: ...
+
+    def problem(self, kind: str, count: int = 1) -> None:
+        if kind.startswith("no ") and kind not in self.problems:
+            self.problems.append(kind)
+
+    def tell(self, kind: str, **facts: str | float) -> None: ...
+
+    def device_clock(self, **facts: float) -> None: ...

@@ -1,0 +1,207 @@
+"""Whether a bed is seen as it must be: a minute out of it held against a minute in it, of each who sleeps there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinegraph.operators.bed.mattress import mattress, somebody
+from kinegraph.stream.chunk import Samples
+
+LEAST_MEASURED = 0.5
+"""This much of the region must be measured; an epoch of which less is seen is unknown."""
+LEAST_INSIDE = 0.75
+"""This much of who lies in bed must be within the regions."""
+NOISIER = 2.0
+"""Where nobody lies noise grows this much only in another light."""
+LEAST_BLOCKS = 4
+
+Region = tuple[int, int, int, int]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class Minute:
+    """Mean depths of blocks over a while: how many, their sum (rows, columns), their successive differences' squares, and frames.
+
+    Half the mean square of successive differences is the noise's variance, whatever the depth does slowly.
+    """
+
+    count: Samples
+    total: Samples
+    squares: Samples
+    pairs: Samples
+    last: Samples
+    frames: int = 0
+    views: list[str] = field(default_factory=list)
+
+    @staticmethod
+    def of(shape: tuple[int, ...]) -> Minute:
+        return Minute(np.zeros(shape), np.zeros(shape), np.zeros(shape), np.zeros(shape), np.full(shape, np.nan))
+
+    def add(self, blocks: Samples) -> None:
+        """One more frame (rows, columns); NaN: not measured."""
+        seen, step = np.isfinite(blocks), blocks - self.last
+        both = np.isfinite(step)
+        self.count += seen
+        self.total[seen] += blocks[seen]
+        self.squares[both] += step[both] ** 2
+        self.pairs += both
+        self.last[:] = blocks
+        self.frames += 1
+
+    def depth(self) -> Samples:
+        """(rows, columns), NaN where less than half of the frames were measured."""
+        known = self.count >= max(1.0, 0.5 * self.frames)
+        return np.where(known, self.total / np.maximum(self.count, 1.0), np.nan)
+
+    def noise(self) -> Samples:
+        """Standard deviation (rows, columns), mm; NaN: not known."""
+        return np.where(self.pairs > 0, np.sqrt(self.squares / np.maximum(2 * self.pairs, 1.0)), np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at: what it is like, and what to do where it is not `well`."""
+
+    well: bool
+    text: str
+
+
+def judge(
+    out: Minute, stays: Mapping[str, Minute], regions: Mapping[str, Region], block: int, rise_mm: float, least: float
+) -> list[Finding]:
+    """What a minute out of bed and those in it say of the regions (row, column, rows, columns in blocks).
+
+    stays    by sleeper: several get into bed one after the other, and stay
+    regions  by sleeper; left out where the bed was not found
+    block    pixels
+    rise_mm  how far above the empty bed a body is; least: how much of a region it covers at least
+    """
+    minutes = [out, *stays.values()]
+    if not all(minute.frames for minute in minutes):
+        return [Finding(False, "no frames came: is the camera connected, and is nothing else using it?")]
+    found = [_seen(minute.views, "in bed" if k else "out of bed") for k, minute in enumerate(minutes)]
+    with np.errstate(invalid="ignore"):
+        bodies = {
+            name: before.depth() - stay.depth() > rise_mm
+            for (name, stay), before in zip(stays.items(), minutes, strict=False)
+        }
+    raised: Mask = np.logical_or.reduce(list(bodies.values()))
+    inside = _within(list(regions.values()), raised.shape)
+    hint = suggested(bodies, block)
+    if not inside.any():
+        found.append(Finding(False, f"no bed was found while it was empty; {hint}"))
+        return [f for f in found if f]
+    found.append(_measured(out, minutes[-1], inside))
+    for name, region in regions.items():
+        found.append(_empty(out.depth(), region, f" ({name})" if len(bodies) > 1 else "", rise_mm, least))
+    for name, body in bodies.items():
+        found.append(_held(body, regions[name], f" ({name})" if len(bodies) > 1 else "", hint, least))
+    return [f for f in (*found, _light(out, minutes[-1], raised)) if f]
+
+
+def _within(regions: Sequence[Region], shape: tuple[int, ...]) -> Mask:
+    inside: Mask = np.zeros(shape, np.bool_)
+    for row, column, rows, columns in regions:
+        inside[row : row + rows, column : column + columns] = True
+    return inside
+
+
+def _measured(out: Minute, inn: Minute, inside: Mask) -> Finding:
+    """How much of the regions is measured, and how well."""
+    measured = float((inn.count[inside] / inn.frames).mean())
+    noise = float(np.nanmedian(out.noise()[inside])) if np.isfinite(out.noise()[inside]).any() else np.nan
+    many = f"{measured:.0%} of the region is measured, and a block's noise is {noise:.1f} mm"
+    if measured < LEAST_MEASURED:
+        return Finding(False, f"only {many}: come nearer, or give it light")
+    return Finding(True, many)
+
+
+def _seen(views: list[str], when: str) -> Finding | None:
+    if "dark" in views:
+        return Finding(
+            False, f"the camera sees nothing {when}: it needs a light of its own (`projector`), or a lit room"
+        )
+    if "moved" in views:
+        return Finding(False, f"the camera was moved {when}: fix it, and check again")
+    return None
+
+
+def _empty(depth: Samples, region: Region, who: str, rise_mm: float, least: float) -> Finding | None:
+    """Whether the bed that ought to be empty looks as if somebody lay in it."""
+    row, column, rows, columns = region
+    bed = depth[row : row + rows, column : column + columns]
+    if not somebody(mattress(bed, rise_mm / 2) - bed, rise_mm, least):
+        return None
+    return Finding(
+        False,
+        f"somebody, or a heap as large, was on the bed while it should be empty{who}: a night that begins so is unknown until it moves",
+    )
+
+
+def _held(body: Mask, region: Region, who: str, hint: str, least: float) -> Finding:
+    """Whether a sleeper's region holds that body."""
+    whole = int(body.sum())
+    if whole < LEAST_BLOCKS:
+        return Finding(
+            False, f"nobody was seen lying there{who}: does the camera see the whole bed, and did you lie down in time?"
+        )
+    row, column, rows, columns = region
+    mine = body[row : row + rows, column : column + columns]
+    held = float(mine.sum()) / whole
+    if held < LEAST_INSIDE:
+        return Finding(
+            False, f"the region holds {held:.0%} of who lies there{who}: it is too small, or elsewhere; {hint}"
+        )
+    covered = float(mine.mean())
+    if covered < least:
+        return Finding(
+            False,
+            f"who lies there covers {covered:.0%} of the region{who}, {least:.0%} is needed: it is too large; {hint}",
+        )
+    return Finding(True, f"the region holds {held:.0%} of who lies there{who}, who covers {covered:.0%} of it")
+
+
+def _light(out: Minute, inn: Minute, raised: Mask) -> Finding | None:
+    """Whether it is noisier while somebody lies there, where nobody lies."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = (inn.noise() / out.noise())[~raised]
+    usual = float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else 1.0
+    if 1 / NOISIER < usual < NOISIER:
+        return Finding(True, "the light is the same in both minutes")
+    return Finding(
+        False,
+        f"the noise where nobody lies is {usual:.1f} times what it was: another light; check in the light of the night",
+    )
+
+
+def suggested(bodies: Mapping[str, Mask], block: int) -> str:
+    """The rectangle of what is raised and a block around it, in pixels; several share it, cut halfway between neighbours."""
+    boxes = [_box(body) for body in bodies.values()]
+    if not all(len(box) for box in boxes):
+        return "set it: regions: [[row, column, rows, columns]]"
+    edges = np.array(boxes)  # (sleepers, 4): first row, first column, one past the last row and column
+    shape = next(iter(bodies.values())).shape
+    outer = np.append(np.maximum(edges[:, :2].min(axis=0) - 1, 0), np.minimum(edges[:, 2:].max(axis=0) + 1, shape))
+    parts = np.tile(outer, (len(edges), 1))
+    middles = (edges[:, :2] + edges[:, 2:]) / 2
+    side = int(np.ptp(middles[:, 1]) >= np.ptp(middles[:, 0]))
+    order = np.argsort(middles[:, side])
+    for a, b in pairwise(order.tolist()):
+        cut = round(float(edges[a, 2 + side] + edges[b, side]) / 2)
+        parts[a, 2 + side] = parts[b, side] = cut
+    told = [[int(v) * block for v in (top, left, end - top, right - left)] for top, left, end, right in parts]
+    return f"try regions: {told}"
+
+
+def _box(body: Mask) -> list[int]:
+    """First row, first column, one past the last row, and the last column; [] where too little is raised."""
+    rows, columns = np.flatnonzero(body.sum(axis=1) > 1), np.flatnonzero(body.sum(axis=0) > 1)
+    return (
+        [int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1] if len(rows) and len(columns) else []
+    )

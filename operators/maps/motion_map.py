@@ -1,0 +1,370 @@
+"""The motion map: each pose's place on a picture of all poses so far, which never flips or jumps (thesis, chapter 5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from kinegraph.operators.features.eigen import eigen_part, symmetric_eigen
+from kinegraph.operators.inputs.channels import names_of
+from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.finite import finite
+from kinegraph.stream.data.require import regular, samples_in, width_of
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.params import param
+
+WIDEST = 150
+"""The eigenvectors of a wider covariance take longer than a frame."""
+SPREAD = 2
+"""A plane is found over this part of the time until the next, so that no frame takes much longer than others."""
+NOWHERE = 1e-9
+"""A cosine below this says no direction."""
+
+
+@kernel
+def dot(a: Samples, b: Samples) -> float:
+    total = 0.0
+    for c in range(a.shape[0]):
+        total += a[c] * b[c]
+    return total
+
+
+@kernel
+def take_away(v: Samples, others: Samples, count: int) -> float:
+    """Take from `v` its part along the first `count` unit rows of `others`, and make it a unit; returns what length was left."""
+    for _ in range(2):
+        for j in range(count):
+            along = dot(v, others[j])
+            for c in range(v.shape[0]):
+                v[c] -= along * others[j, c]
+    length = math.sqrt(dot(v, v))
+    if length > 0.0:
+        v /= length
+    return length
+
+
+@kernel
+def learn(x: Samples, least: float, frames: Times, mean: Samples, covariance: Samples) -> None:
+    """Take a frame into mean and covariance: all frames count the same, until a new one would count less than `least`."""
+    frames[0] += 1
+    share = max(1.0 / frames[0], least)
+    for c in range(x.shape[0]):
+        mean[c] += share * (x[c] - mean[c])
+    if share == 1.0:
+        return
+    for c in range(x.shape[0]):
+        for d in range(x.shape[0]):
+            # x - mean, after the step, is (1 - share) times what it was before
+            product = (x[c] - mean[c]) * (x[d] - mean[d]) / ((1.0 - share) * (1.0 - share))
+            covariance[c, d] = (1.0 - share) * (covariance[c, d] + share * product)
+
+
+@kernel
+def principal(values: Samples, vectors: Samples, out: Samples) -> None:
+    """The k principal axes into rows of `out` (k, c), the greatest first; the greatest number of each is positive. Uses up `values`."""
+    width = values.shape[0]
+    for k in range(out.shape[0]):
+        best = 0
+        for c in range(width):
+            if values[c] > values[best]:
+                best = c
+        values[best] = -math.inf
+        top = 0
+        for c in range(width):
+            if abs(vectors[best, c]) > abs(vectors[best, top]):
+                top = c
+        for c in range(width):
+            out[k, c] = math.copysign(1.0, vectors[best, top]) * vectors[best, c]
+
+
+@kernel
+def look_for_plane(
+    every: int, frames: Times, covariance: Samples, part: Times, room: Samples, lines: Samples, vectors: Samples, target: Samples
+) -> None:  # fmt: skip
+    """One frame's share of finding the plane that the covariance had at the last multiple of `every`; the first plane is found at once."""
+    width = covariance.shape[0]
+    begins = frames[0] % every == 0
+    if begins:
+        room[:] = covariance
+        part[0] = 0
+    if part[0] == 3 * width:
+        return
+    share = 3 * width if frames[0] == every else -(-3 * width // max(1, every // SPREAD))
+    for k in range(part[0], min(3 * width, part[0] + share)):
+        eigen_part(k, room, width, lines[0], lines[1], vectors)
+    part[0] = min(3 * width, part[0] + share)
+    if part[0] == 3 * width:
+        principal(lines[0], vectors, target)
+
+
+@kernel
+def turn(axes: Samples, target: Samples, most_rad: float, pairs: Samples, small: Samples) -> None:
+    """Turn `axes` (k, c) towards the plane of `target` (k, c), along the shortest way, no axis by more than `most_rad`.
+
+    Arrived, they are the axes of that plane nearest to those before: what the orthogonal Procrustes problem gives.
+
+    pairs  (3, k, c)     room for the principal vectors of both planes, and where a vector lies in the target's
+    small  (3, k, k + 2) room
+    """
+    count, width = axes.shape
+    gram, values, rest, vectors = small[0], small[1, 0], small[1, 1], small[2]
+    ours, ways, there = pairs[0], pairs[1], pairs[2]
+    for i in range(count):
+        for j in range(count):
+            gram[i, j] = 0.0
+            for t in range(count):
+                gram[i, j] += dot(axes[i], target[t]) * dot(axes[j], target[t])
+    symmetric_eigen(gram, count, values, rest, vectors)
+    for i in range(count):  # by falling cosine, so that what has no direction yet comes last
+        for j in range(i + 1, count):
+            if values[j] > values[i]:
+                values[i], values[j] = values[j], values[i]
+                for t in range(count):
+                    vectors[i, t], vectors[j, t] = vectors[j, t], vectors[i, t]
+    widest = 0.0
+    for i in range(count):
+        for c in range(width):
+            ours[i, c] = 0.0
+            there[i, c] = 0.0
+            for j in range(count):
+                ours[i, c] += vectors[i, j] * axes[j, c]
+        for t in range(count):
+            along = dot(ours[i], target[t])
+            for c in range(width):
+                there[i, c] += along * target[t, c]
+        cosine = take_away(there[i], there, i)
+        if cosine < NOWHERE:
+            aim(there, i, target, ways[i])
+            cosine = 0.0
+        for c in range(width):
+            ways[i, c] = there[i, c] - dot(there[i], ours[i]) * ours[i, c]
+        sine = take_away(ways[i], ours, i + 1)
+        rest[i] = math.atan2(sine, cosine)
+        widest = max(widest, rest[i])
+    share = 1.0 if widest <= most_rad else most_rad / widest
+    for i in range(count):
+        c_i, s_i = math.cos(share * rest[i]), math.sin(share * rest[i])
+        for c in range(width):
+            ours[i, c] = c_i * ours[i, c] + s_i * ways[i, c]
+    for j in range(count):
+        for c in range(width):
+            axes[j, c] = 0.0
+            for i in range(count):
+                axes[j, c] += vectors[i, j] * ours[i, c]
+        take_away(axes[j], axes, j)
+
+
+@kernel
+def aim(there: Samples, i: int, target: Samples, trial: Samples) -> None:
+    """A unit vector of the target's plane that the first i of `there` do not cover, into `there[i]`: of several, the clearest."""
+    longest = -1.0
+    for t in range(target.shape[0]):
+        trial[:] = target[t]
+        length = take_away(trial, there, i)
+        if length > longest:
+            longest = length
+            there[i] = trial
+
+
+@kernel
+def follow(centre: Samples, mean: Samples, most: float) -> None:
+    """Move the picture's centre towards the mean by `most` at the most."""
+    total = 0.0
+    for c in range(mean.shape[0]):
+        total += (mean[c] - centre[c]) ** 2
+    share = 1.0 if total <= most * most else most / math.sqrt(total)
+    for c in range(mean.shape[0]):
+        centre[c] += share * (mean[c] - centre[c])
+
+
+@kernel
+def place(
+    x: Samples,
+    used: Times,
+    least: float,
+    every: int,
+    most_rad: float,
+    frames: Times,
+    frame: Samples,
+    mean: Samples,
+    centre: Samples,
+    covariance: Samples,
+    part: Times,
+    room: Samples,
+    lines: Samples,
+    vectors: Samples,
+    axes: Samples,
+    target: Samples,
+    pairs: Samples,
+    small: Samples,
+    out: Samples,
+    explained: Samples,
+) -> None:
+    """Places of the poses `x` (n, width) into `out` (n, k), each axis's share of the variance so far into `explained` (n, k)."""
+    for i in range(x.shape[0]):
+        whole = True
+        for c in range(used.shape[0]):
+            frame[c] = finite(x[i, used[c]])
+            whole = whole and frame[c] == frame[c]
+        if whole:
+            learn(frame, least, frames, mean, covariance)
+            if frames[0] >= every:
+                look_for_plane(every, frames, covariance, part, room, lines, vectors, target)
+            if frames[0] == every:
+                axes[:] = target
+                centre[:] = mean
+        total = 0.0
+        for c in range(mean.shape[0]):
+            total += covariance[c, c]
+        learned = frames[0] >= every
+        if whole and frames[0] > every:
+            turn(axes, target, most_rad, pairs, small)
+            follow(centre, mean, most_rad * math.sqrt(total))
+        for k in range(axes.shape[0]):
+            out[i, k] = math.nan
+            explained[i, k] = math.nan
+            if learned and whole:
+                out[i, k] = 0.0
+                for c in range(mean.shape[0]):
+                    out[i, k] += axes[k, c] * (frame[c] - centre[c])
+            if learned and total > 0.0:
+                held = 0.0
+                for c in range(mean.shape[0]):
+                    held += axes[k, c] * dot(covariance[c], axes[k])
+                explained[i, k] = held / total
+
+
+@dataclass(slots=True)
+class MotionMapState:
+    """
+    used          (c,)     which of the input's numbers count
+    least                  the least that a frame counts in mean and covariance
+    every                  frames after which the plane is learned again
+    most_rad               the most that axes turn from one frame to the next
+    frames        (1,)     how many frames were learned
+    mean, centre  (c,)     of all frames; of the picture
+    covariance    (c, c)
+    axes, target  (k, c)   the picture's axes; the principal axes, which they turn to
+    part          (1,)     how far the next target is found, of 3 c parts; room (c, c), lines (2, c), vectors (c, c): what is found of it
+    frame, pairs, small    room, which remembers nothing
+    """
+
+    used: Times
+    least: float
+    every: int
+    most_rad: float
+    frames: Times
+    mean: Samples
+    centre: Samples
+    covariance: Samples
+    axes: Samples
+    target: Samples
+    part: Times
+    room: Samples
+    lines: Samples
+    vectors: Samples
+    frame: Samples
+    pairs: Samples
+    small: Samples
+
+
+@dataclass(frozen=True, slots=True)
+class MotionMap(Operator[MotionMapState]):
+    """Poses or other features (width,) in; out comes each one's place on the PCA of those so far. It learns from the first frame on.
+
+    map        (axes,)  the place, in the input's unit. NaN during the first `learn_s`, and where a feature is
+    explained  (axes,)  which share of the variance so far lies along each axis that is shown; together: along the picture
+
+    Every `learn_s` the principal plane (with `axes: 3` the space) of the covariance is recomputed, over the half of that time that
+    follows, so that no frame takes much longer than others. The picture's axes turn to it along the shortest way, and stay as near to
+    what they were as that plane allows (the orthogonal Procrustes problem): no sign flips, no axes change places. No axis turns faster
+    than `rotation_deg_per_s`, and the picture's centre follows the mean no faster than a pose at the poses' rms distance from it would
+    move by that. So the axes span the principal plane, but need not be the principal axes.
+
+    Time is counted in frames: nothing turns in a gap, or while frames are bad. Channels in the input's `meta["missing"]`
+    (operators.features.normalised_pose.NormalisedPose) are left out. The memory is a covariance, however long the session is. No delay.
+
+    Source: thesis, 5.3.3 (PCA of normalised poses). Departure: it learns live, where the thesis has the whole recording.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("map", "explained")
+
+    axes: int = param(2, least=1, most=3, help="how many axes the picture has")
+    rotation_deg_per_s: float = param(20.0, above=0.0, help="the fastest that an axis turns")
+    learn_s: float = param(1.0, above=0.0, help="how often the plane is learned again")
+    memory_s: float = param(0.0, least=0.0, help="older frames are forgotten over this long; 0: never")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        if not spec.is_signal or len(set(spec.units)) != 1:
+            raise InputError("in", spec.describe(), "a signal of features in one unit")
+        rate_hz = regular(spec)
+        missing = set(spec.meta.get("missing", ()))
+        names = names_of(spec)
+        used = np.array([c for c in range(width_of(spec)) if names[c] not in missing], np.int64)
+        c, k = len(used), self.axes
+        if not k <= c <= WIDEST:
+            raise InputError(
+                "in",
+                spec.describe(),
+                f"{k} to {WIDEST} features (operators.filters.channels.Select takes some of them)",
+            )
+        state = MotionMapState(
+            used=used,
+            least=1.0 / (1 + samples_in("memory_s", self.memory_s, rate_hz)) if self.memory_s else 0.0,
+            every=max(2, samples_in("learn_s", self.learn_s, rate_hz)),
+            most_rad=float(np.radians(self.rotation_deg_per_s)) / rate_hz,
+            frames=np.zeros(1, np.int64),
+            mean=np.zeros(c),
+            centre=np.zeros(c),
+            covariance=np.zeros((c, c)),
+            axes=np.zeros((k, c)),
+            target=np.zeros((k, c)),
+            part=np.array([3 * c], np.int64),
+            frame=np.zeros(c),
+            room=np.zeros((c, c)),
+            lines=np.zeros((2, c)),
+            vectors=np.zeros((c, c)),
+            pairs=np.zeros((3, k, c)),
+            small=np.zeros((3, k + 2, k + 2)),
+        )
+        self.hold(state)
+        made = spec.derive(
+            shape=(k,),
+            dtype=np.dtype(np.float64),
+            channels=("x", "y", "z")[:k],
+            units=spec.units[:1],
+            settling_s=spec.settling_s + self.learn_s,
+        )
+        return {"map": made, "explained": made.derive(units=("",))}
+
+    def process(self, port: str, chunk: Chunk) -> Emitted:
+        s, n = self.state, len(chunk.time)
+        out, explained = np.empty((n, self.axes)), np.empty((n, self.axes))
+        if n:
+            x = np.ascontiguousarray(chunk.data, np.float64)
+            place(
+                x, s.used, s.least, s.every, s.most_rad, s.frames, s.frame, s.mean, s.centre, s.covariance, s.part, s.room,
+                s.lines, s.vectors, s.axes, s.target, s.pairs, s.small, out, explained,
+            )  # fmt: skip
+        return [
+            ("map", Chunk(chunk.time, out, chunk.until, chunk.lost)),
+            ("explained", Chunk(chunk.time, explained, chunk.until, chunk.lost)),
+        ]
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        rng = np.random.default_rng(54)
+        data = np.concatenate([rng.normal(size=(150, 5)) * scale for scale in ((5, 2, 1, 0.5, 0.1), (1, 1, 9, 7, 0.1))])
+        spec = StreamSpec((5,), rate_hz=50.0, channels=tuple("abcde"), units=("cm",), meta={"missing": ["e"]})
+        inputs = {"in": (spec, grid(50.0, 300), data)}
+        return [
+            Case(cls(), inputs, least=600),
+            Case(cls(axes=3, learn_s=0.2, memory_s=2.0, rotation_deg_per_s=200.0), inputs, least=600),
+        ]

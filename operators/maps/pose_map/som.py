@@ -1,0 +1,311 @@
+"""The self-organising map of poses, learned while they come: where each lies among the poses so far (thesis, 5.3.3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from kinegraph.operators.inputs.channels import names_of
+from kinegraph.operators.inputs.lengths import CM, metres
+from kinegraph.operators.maps.pose_map.som_kernel import learn_pose, nearest_cells, next_random, place_between, touch
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.data.finite import finite
+from kinegraph.stream.data.require import regular, samples_in, width_of
+from kinegraph.stream.domain.pose_map import MotionIndex
+from kinegraph.stream.errors import InputError, nearest
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.params import param
+
+WIDEST = 300
+"""More features take longer than a frame."""
+TRIED = 256
+"""A map is tried on this many poses before it is shown."""
+SEEN, STEP, SHOWN, GOOD, TORN = range(5)
+"""Places in `counts`: whole poses so far; frame of the map that is being learned; maps shown; poses tried; those whose two nearest cells
+do not touch."""
+
+
+@kernel
+def keep(x: Samples, reservoir: Samples, counts: Times, random: Times) -> None:
+    """Take a pose into the reservoir, which holds each of those so far with the same probability (Vitter 1985, algorithm R)."""
+    counts[SEEN] += 1
+    at = counts[SEEN] - 1 if counts[SEEN] <= reservoir.shape[0] else next_random(random, counts[SEEN])
+    if at < reservoir.shape[0]:
+        reservoir[at] = x
+
+
+@kernel
+def work_on(
+    reservoir: Samples, draft: Samples, columns: int, every: int, tried: int, steps: int, counts: Times, random: Times,
+    apart: Samples, share: Samples, found: Times, distances: Samples, errors: Samples, hits: Times,
+) -> None:  # fmt: skip
+    """One frame's part of the work on the next map: some steps of learning, or one pose that it is tried on."""
+    held = min(counts[SEEN], reservoir.shape[0])
+    if counts[STEP] == 0 and counts[SHOWN] == 0:
+        for k in range(draft.shape[1]):
+            draft[:, k] = reservoir[next_random(random, held)]
+    learning = every - tried
+    first = counts[SHOWN] == 0
+    widest = 0.5 * max(columns, draft.shape[1] // columns) if first else 1.5
+    fastest = 0.4 if first else 0.1
+    if counts[STEP] < learning:
+        done = counts[STEP] / learning
+        for _ in range(steps):
+            pose = reservoir[next_random(random, held)]
+            nearest_cells(draft, pose, apart, found, distances)
+            rate, radius = fastest * (0.02 / fastest) ** done, widest * (0.6 / widest) ** done
+            learn_pose(draft, columns, pose, found[0], rate, max(radius, 0.3), share)
+    else:
+        if counts[STEP] == learning:
+            counts[GOOD], counts[TORN] = 0, 0
+            hits[:] = 0
+        nearest_cells(draft, reservoir[next_random(random, held)], apart, found, distances)
+        errors[counts[GOOD]] = distances[0]
+        hits[found[0]] += 1
+        counts[GOOD] += 1
+        counts[TORN] += not touch(found[0], found[1], columns)
+    counts[STEP] += 1
+
+
+@kernel
+def map_poses(
+    x: Samples, used: Times, columns: int, every: int, tried: int, steps: int, most: int, frame: Samples, reservoir: Samples,
+    draft: Samples, codes: Samples, counts: Times, random: Times, apart: Samples, share: Samples, found: Times, distances: Samples,
+    errors: Samples, trial: Samples, hits: Times, place: Samples, error: Samples, begin: int,
+) -> int:  # fmt: skip
+    """Places (n, 2) and errors (n, 2) of the poses `x` (n, width) from `begin` on; stops after a frame with which a map is to be shown.
+
+    Returns how far it came.
+    """
+    for i in range(begin, x.shape[0]):
+        whole = True
+        for c in range(used.shape[0]):
+            frame[c] = finite(x[i, used[c]])
+            whole = whole and frame[c] == frame[c]
+        place[i, 0], place[i, 1], error[i, 0], error[i, 1] = math.nan, math.nan, math.nan, math.nan
+        if not whole:
+            continue
+        if counts[SHOWN] > 0:
+            nearest_cells(codes, frame, apart, found, distances)
+            place_between(apart, columns, found[0], place[i])
+            error[i, 0] = distances[0]
+            below = 0
+            for k in range(errors.shape[0]):
+                below += errors[k] <= distances[0]
+            error[i, 1] = below / errors.shape[0]
+        if most == 0 or counts[SHOWN] < most:
+            keep(frame, reservoir, counts, random)
+            work_on(
+                reservoir, draft, columns, every, tried, steps, counts, random, apart, share, found, distances, trial, hits
+            )  # fmt: skip
+            if counts[STEP] == every:
+                codes[:] = draft
+                errors[:] = trial
+                counts[SHOWN] += 1
+                counts[STEP] = 0
+                return i + 1
+    return int(x.shape[0])
+
+
+@dataclass(slots=True)
+class PoseGridState:
+    """
+    used (u,)             which of the input's numbers count
+    columns               of the grid
+    every, tried          frames between maps; how many of them are for trying
+    most                  maps after which nothing more is learned; 0: always learn
+    frame (u,), reservoir (r, u)
+    draft, codes (u, c)   the map that is being learned, and the one that is shown
+    counts (5,), random   see above
+    errors, trial (e,)    of the poses that the map shown, and the one being learned, was tried on
+    hits (c,)             how many of these fell on each cell
+    apart, share (c,), found, distances   room, which remembers nothing
+    drawn                 how many maps `poses` has told of
+    """
+
+    used: Times
+    columns: int
+    every: int
+    tried: int
+    most: int
+    frame: Samples
+    reservoir: Samples
+    draft: Samples
+    codes: Samples
+    counts: Times
+    random: Times
+    errors: Samples
+    trial: Samples
+    hits: Times
+    apart: Samples
+    share: Samples
+    found: Times
+    distances: Samples
+    drawn: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PoseGrid(Operator[PoseGridState]):
+    """Poses or other features (width,) in; out comes the place of each on a self-organising map, a grid of cells of like poses.
+
+    place  (2,)  column and row, from 0, between the cells; NaN before the first map, and where a feature is
+    error  (2,)  the distance to the nearest cell (quantisation error, in the input's unit); `rank`: which share of the poses that the map
+                 was tried on lies no further from it. An outlier is a pose whose rank is above 0.99, say
+    cells  an event whenever a map is shown: its number, mean quantisation error, topographic error (share of poses whose two nearest
+                 cells do not touch), how many poses it was tried on, per cell how many of these it has, and its pose
+    poses  (cells, width)  the poses of the cells, row by row, whenever a map is shown, a trained one with the first pose; the page's
+                 panel `map` draws them
+
+    It learns from a random sample of all poses so far (`reservoir` of them), `steps` a frame. Every `learn_s` the new map takes the place
+    of the one shown, which does not change in between. Each begins as the one before it, so that cells hardly move. After `maps` of them
+    nothing changes any more. With `model` the map is that of `kinegraph train map`, in the input's unit of length, and nothing is learned.
+
+    Time is counted in whole poses: none is learned in a gap. Channels in the input's `meta["missing"]` are left out. No delay.
+
+    Source: thesis, 5.3.3; Kohonen 1982. Departure: live, out of a reservoir; the thesis trains on whole recordings.
+    """
+
+    outputs: ClassVar[tuple[str, ...]] = ("place", "error", "cells", "poses")
+
+    rows: int = param(12, least=1, most=40, help="rows of the grid")
+    columns: int = param(12, least=1, most=40, help="columns of the grid")
+    learn_s: float = param(20.0, above=0.0, help="how often a new map is shown")
+    maps: int = param(0, least=0, help="maps after which nothing more is learned; 0: always learn")
+    reservoir: int = param(4096, least=2, most=100_000, help="poses that it learns from")
+    steps: int = param(3, least=1, most=100, help="steps of learning with every pose")
+    seed: int = param(1, least=1, most=2_000_000_000, help="another seed, another sample")
+    model: Path | None = param(None, help="a map that `kinegraph train map` has made; rows and columns are its own")
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        if not spec.is_signal or len(set(spec.units)) != 1:
+            raise InputError("in", spec.describe(), "a signal of features in one unit")
+        rate_hz = regular(spec)
+        index = MotionIndex.read(self.model) if self.model else None
+        s = self._learned(spec, index) if index else self._fresh(spec, rate_hz)
+        self.hold(s)
+        place = spec.derive(shape=(2,), dtype=np.dtype(np.float64), channels=("column", "row"), units=("", ""))
+        names = names_of(spec)
+        facts = {**spec.meta, "columns": s.columns, "features": [names[c] for c in s.used]}
+        if index:
+            facts["bones"] = [[index.markers[a], index.markers[b]] for a, b in index.bones.tolist()]
+        poses = StreamSpec(
+            s.codes.T.shape, channels=tuple(facts["features"]), channel_axis=1, units=spec.units[:1], meta=facts
+        )
+        units = ("", spec.units[0], "", "", "", spec.units[0])
+        return {
+            "place": place,
+            "error": place.derive(channels=("error", "rank"), units=(spec.units[0], "")),
+            "cells": StreamSpec((), _event_of(*s.codes.T.shape), units=units, meta=facts),
+            "poses": poses,
+        }
+
+    def _fresh(self, spec: StreamSpec, rate_hz: float) -> PoseGridState:
+        """Nothing is known yet."""
+        missing = set(spec.meta.get("missing", ()))
+        names = names_of(spec)
+        used = np.array([c for c in range(width_of(spec)) if names[c] not in missing], np.int64)
+        if not 1 <= len(used) <= WIDEST:
+            raise InputError(
+                "in", spec.describe(), f"1 to {WIDEST} features (operators.filters.channels.Select takes some)"
+            )
+        every = max(4, samples_in("learn_s", self.learn_s, rate_hz))
+        codes = np.zeros((self.rows * self.columns, len(used)))
+        tried = min(TRIED, max(1, every // 4))
+        return _state(used, self.columns, codes, every, tried, self.maps, self.reservoir, self.seed)
+
+    def _learned(self, spec: StreamSpec, index: MotionIndex) -> PoseGridState:
+        """The map of a model."""
+        names = names_of(spec)
+        absent = [name for name in index.channels if name not in names or name in spec.meta.get("missing", ())]
+        if absent:
+            hint = nearest(absent[0], names)
+            raise InputError("in", spec.describe(), f"the channels of {self.model}, {absent[0]} among them; {hint}")
+        size = 1.0
+        if spec.units[0] != index.unit:
+            if spec.units[0] not in CM or index.unit not in CM or not (spec.units[0] and index.unit):
+                raise InputError(
+                    "in", spec.describe(), f"{index.unit}, as {self.model} was trained on, or another unit of length"
+                )
+            size = metres(index.unit) / metres(spec.units[0])
+        used = np.array([names.index(name) for name in index.channels], np.int64)
+        s = _state(used, index.columns, index.codes * size, 4, len(index.errors), 1, 2, self.seed)
+        s.errors[:] = index.errors * size
+        s.counts[SHOWN] = 1
+        return s
+
+    def process(self, port: str, chunk: Chunk) -> Emitted:
+        s, n = self.state, len(chunk.time)
+        place, error = np.empty((n, 2)), np.empty((n, 2))
+        told, at, done = list[Array](), list[int](), 0
+        drawn, drawn_at = list[Samples](), list[int]()
+        if n and s.counts[SHOWN] > s.drawn:
+            drawn, drawn_at, s.drawn = [s.codes.T.copy()], [0], int(s.counts[SHOWN])
+        x = np.ascontiguousarray(chunk.data, np.float64)
+        while done < n:
+            shown = int(s.counts[SHOWN])
+            done = map_poses(
+                x, s.used, s.columns, s.every, s.tried, self.steps, s.most, s.frame, s.reservoir, s.draft, s.codes, s.counts,
+                s.random, s.apart, s.share, s.found, s.distances, s.errors, s.trial, s.hits, place, error, done,
+            )  # fmt: skip
+            if s.counts[SHOWN] > shown:
+                one = np.zeros(1, _event_of(*s.codes.T.shape))
+                one["map"], one["tried"] = shown + 1, s.tried
+                one["quantisation"], one["topographic"] = s.errors.mean(), s.counts[TORN] / s.tried
+                one["count"], one["pose"] = s.hits, s.codes.T
+                told.append(one)
+                at.append(done - 1)
+                drawn.append(s.codes.T.copy())
+                drawn_at.append(done - 1)
+                s.drawn = shown + 1
+        shape, none = s.codes.T.shape, chunk.time[:0]
+        poses = np.array(drawn) if drawn else np.empty((0, *shape))
+        cells = np.concatenate(told) if told else np.empty(0, _event_of(*shape))
+        return [
+            ("place", Chunk(chunk.time, place, chunk.until, chunk.lost)),
+            ("error", Chunk(chunk.time, error, chunk.until, chunk.lost)),
+            ("cells", Chunk(chunk.time[at] if at else none, cells, chunk.until, -1 if chunk.lost else 0)),
+            ("poses", Chunk(chunk.time[drawn_at] if drawn_at else none, poses, chunk.until, -1 if chunk.lost else 0)),
+        ]
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        rng = np.random.default_rng(55)
+        phase = np.arange(400) * 0.19
+        data = np.stack([np.sin(phase + k) * (5.0 - k) for k in range(5)], 1) + 0.1 * rng.normal(size=(400, 5))
+        spec = StreamSpec((5,), rate_hz=50.0, channels=tuple("abcde"), units=("cm",), meta={"missing": ["e"]})
+        inputs = {"in": (spec, grid(50.0, 400), data)}
+        return [
+            Case(cls(rows=3, columns=4, learn_s=1.5, reservoir=60), inputs, least=810),
+            Case(cls(rows=1, columns=5, learn_s=2.0, maps=1), inputs, least=802),
+        ]
+
+
+@cache
+def _event_of(cells: int, width: int) -> np.dtype[np.void]:
+    """The dtype of the event that describes a map; to make it takes longer than a pose."""
+    return np.dtype([
+        ("map", "<i8"), ("quantisation", "<f8"), ("topographic", "<f8"), ("tried", "<i8"), ("count", "<i8", (cells,)),
+        ("pose", "<f8", (cells, width)),
+    ])  # fmt: skip
+
+
+def _state(
+    used: Times, columns: int, codes: Samples, every: int, tried: int, most: int, reservoir: int, seed: int
+) -> PoseGridState:
+    """Of cells `codes` (c, u)."""
+    cells, width = codes.shape
+    by_feature = np.ascontiguousarray(codes.T)
+    return PoseGridState(
+        used=used, columns=columns, every=every, tried=tried, most=most, frame=np.zeros(width),
+        reservoir=np.zeros((reservoir, width)), draft=by_feature.copy(), codes=by_feature, counts=np.zeros(5, np.int64),
+        random=np.array([seed], np.int64), errors=np.zeros(tried), trial=np.zeros(tried), hits=np.zeros(cells, np.int64),
+        apart=np.zeros(cells), share=np.zeros(cells), found=np.zeros(2, np.int64), distances=np.zeros(2),
+    )  # fmt: skip

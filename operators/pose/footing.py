@@ -1,0 +1,239 @@
+"""Where the avatar stands: the floor under its feet, its face to the front, from a second in which the person stood still."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from kinegraph.operators.pose.limb_kernel import FOOT, SIDE, THIGH
+from kinegraph.operators.pose.motion_kernel import limit_turns, same_signs
+from kinegraph.operators.pose.operator import NOTES
+from kinegraph.operators.pose.rotation_kernel import from_axes, normalise
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.domain.humanoid import BONES, NUMBERS
+from kinegraph.stream.domain.skeleton import JointTree, multiply, turn
+from kinegraph.stream.errors import InputError
+from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.params import param
+
+PROMPT = np.dtype([("onset", "<i8"), ("state", "<U10"), ("text", "<U80")])
+"""What the person is asked to do, since `onset`: `state` is waiting, stand, follows, lost or gone."""
+TEXTS = {
+    "waiting": "step into view of the camera",
+    "stand": "stand still for a second, facing the camera",
+    "follows": "calibrated; the avatar follows you",
+    "lost": "the avatar follows with usual bone lengths; it was not calibrated",
+    "gone": "nobody is seen: the avatar keeps its pose",
+}
+STATES = ("waiting", "stand", "follows", "lost", "gone")
+WAITING, STAND, FOLLOWS, LOST, GONE = range(5)
+ASKED, SINCE, PLACED, FLOOR, SCALE, LAST = range(6)
+"""Places in `memory`: which of the states is on; since when (s) somebody is seen without a calibration, 0: nobody; whether it is known
+where the avatar stands; the floor's height; the size of the skeleton's legs in the person's; the newest stamp in s."""
+
+
+@dataclass(slots=True)
+class FootingState:
+    """
+    memory  (6,)  see above        origin (3,), about (4,)  where the person stood, and the turn that makes them face the front
+    turns, before (22, 4)  rotations in the world now and of the newest sample; local, was (22, 4)  those relative to parents
+    joints, quality, newest  the newest of these inputs, and the newest pose that was given out
+    """
+
+    memory: Samples
+    origin: Samples
+    about: Samples
+    turns: Samples
+    before: Samples
+    local: Samples
+    was: Samples
+    joints: Samples
+    quality: Samples
+    newest: Samples
+
+
+@kernel
+def stand_here(
+    pose: Samples, joints: Samples, offsets: Samples, sole: float, memory: Samples, origin: Samples, about: Samples, work: Samples
+) -> None:  # fmt: skip
+    """From a pose of someone who stands: where that is, how to turn to the front, where the floor is, and how long the legs are.
+
+    `offsets` (22, 3) are those of the skeleton in the spec, whose ankles are `sole` above the floor at rest; `joints` (22, 3) are where the
+    person's joints are. `work` (3, 4).
+    """
+    work[0, 0], work[0, 1], work[0, 2] = 1.0, 0.0, 0.0
+    turn(pose[3:7], work[0, :3], work[1, :3])
+    work[1, 1] = 0.0
+    work[0, 0], work[0, 1] = 0.0, 1.0
+    from_axes(work[1, :3], work[0, :3], about)
+    for a in range(1, 4):
+        about[a] = -about[a]
+    legs, own, floor = 0.0, 0.0, math.inf
+    for side in range(2):
+        for bone in (THIGH + 1 + SIDE * side, FOOT + SIDE * side):
+            legs += math.sqrt((offsets[bone] ** 2).sum())
+            own += math.sqrt(((joints[bone] - joints[bone - 1]) ** 2).sum())
+        floor = min(floor, joints[FOOT + SIDE * side, 1])
+    memory[SCALE] = legs / own if own > 0.1 else 1.0
+    memory[FLOOR] = floor - sole / memory[SCALE]
+    origin[:] = pose[:3]
+    memory[PLACED] = 1.0
+
+
+@kernel
+def footed(
+    pose: Samples, now: float, seated: bool, turn_rad_s: float, offsets: Samples, parents: Times, memory: Samples,
+    origin: Samples, about: Samples, turns: Samples, before: Samples, local: Samples, was: Samples, work: Samples, out: Samples,
+) -> None:  # fmt: skip
+    """One pose (91,) as the avatar takes it, into `out`: at rest until it is known where it stands."""
+    dt = min(max(now - memory[LAST], 0.002), 0.1)
+    memory[LAST] = now
+    if memory[PLACED] > 0.0:
+        for a in range(3):
+            work[0, a] = (pose[a] - origin[a]) * memory[SCALE]
+        turn(about, work[0, :3], out[:3])
+        out[1] = (pose[1] - memory[FLOOR]) * memory[SCALE]
+        for b in range(parents.shape[0]):
+            local[b] = pose[3 + 4 * b : 7 + 4 * b]
+        multiply(about, pose[3:7], local[0])
+    else:
+        out[:3] = offsets[0]
+        local[:], local[:, 0] = 0.0, 1.0
+    if seated:
+        half = math.sqrt(0.5)
+        for side in range(2):
+            thigh = THIGH + SIDE * side
+            local[thigh : thigh + 4], local[thigh : thigh + 4, 0] = 0.0, 1.0
+            local[thigh, 0], local[thigh, 1] = half, -half
+            local[thigh + 1, 0], local[thigh + 1, 1] = half, half
+    for b in range(parents.shape[0]):
+        normalise(local[b])
+        if parents[b] < 0:
+            turns[b] = local[b]
+        else:
+            multiply(turns[parents[b]], local[b], turns[b])
+    limit_turns(before, was, parents, turn_rad_s * dt, turns, local, work)
+    same_signs(was, local)
+    before[:], was[:] = turns, local
+    for b in range(parents.shape[0]):
+        out[3 + 4 * b : 7 + 4 * b] = local[b]
+
+
+class _Standing(Operator[FootingState]):
+    """What stays as it is while samples come: the skeleton."""
+
+    __slots__ = ("tree",)
+    tree: JointTree
+
+
+@dataclass(frozen=True, slots=True)
+class Footing(_Standing):
+    """What operators.pose.WholePose gives in; out comes the same pose on the avatar's own floor, facing its front.
+
+    out     the pose: where the person stood while being calibrated is the middle, the floor under the feet at height 0, the front +z; the
+            root moves in the skeleton's size, not the person's, so that feet stay on the floor
+    prompt  an event whenever something else is asked of the person: to step into view, to stand still; and what became of it
+
+    Until the calibration is done, or somebody has been seen for `uncalibrated_s` without one, the avatar stands at rest. With `seated` the
+    legs are those of someone on a chair, whatever is seen of them. A pose that is not finite is the one before
+    it. No bone turns faster than `turn_rad_s`, from the rest to the pose too.
+    """
+
+    inputs: ClassVar[tuple[str, ...]] = ("pose", "joints", "quality")
+    acts: ClassVar[tuple[str, ...]] = ("pose",)
+    outputs: ClassVar[tuple[str, ...]] = ("out", "prompt")
+
+    uncalibrated_s: float = param(
+        3.0, above=0.0, help="so long after being seen first the avatar follows without a calibration"
+    )
+    seated: bool = param(False, help="the person sits: the legs are ignored")
+    turn_rad_s: float = param(20.0, above=0.0, help="no bone turns faster")
+
+    def open(self, specs: Specs) -> Specs:
+        tree = JointTree.of(specs["pose"], "pose")
+        wanted = (len(BONES) + len(NOTES),)
+        if tree.joints != BONES:
+            raise InputError("pose", specs["pose"].describe(), "the pose that operators.pose gives")
+        if specs["joints"].shape != (len(BONES), 3) or specs["quality"].shape != wanted:
+            raise InputError("joints", specs["joints"].describe(), "joints and quality of the node that gives the pose")
+        still = np.tile([1.0, 0.0, 0.0, 0.0], (len(BONES), 1))
+        memory = np.zeros(6)
+        memory[ASKED], memory[SCALE] = -1.0, 1.0
+        self.hold(
+            FootingState(
+                memory, np.zeros(3), still[0].copy(), still.copy(), still.copy(), still.copy(), still.copy(),
+                tree.at_rest.copy(), np.ones(wanted[0]), np.concatenate([tree.offsets[0], still.ravel()]),
+            ),
+            decision_s={"prompt": 0.0},
+        )  # fmt: skip
+        object.__setattr__(self, "tree", tree)
+        return {"out": specs["pose"], "prompt": StreamSpec((), PROMPT, units=("ns", "", ""), meta={})}
+
+    def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
+        s = self.state
+        if port != "pose":
+            if len(chunk):
+                kept = s.joints if port == "joints" else s.quality
+                for row in chunk.data:
+                    np.copyto(kept, row, where=np.isfinite(row))
+            return []
+        out, told = np.empty(chunk.data.shape), list[Array]()
+        for i, time in enumerate(chunk.time.tolist()):
+            pose = np.asarray(chunk.data[i], np.float64)
+            if not np.isfinite(pose).all():
+                out[i] = s.newest
+                continue
+            told += self._ask(time, pose)
+            footed(
+                pose, time / NS, self.seated, self.turn_rad_s, self.tree.offsets, NUMBERS, s.memory, s.origin, s.about,
+                s.turns, s.before, s.local, s.was, np.zeros((8, 4)), out[i],
+            )  # fmt: skip
+            s.newest[:] = out[i]
+        events = np.array(told, PROMPT)
+        return [
+            ("out", Chunk(chunk.time, out, chunk.until, chunk.lost)),
+            ("prompt", Chunk(events["onset"].copy(), events, chunk.until, 0)),
+        ]
+
+    def _ask(self, time: int, pose: Samples) -> list[Array]:
+        """What is asked of the person from this sample on, if that is something else than before; notes where the person stands."""
+        s, bones = self.state, len(BONES)
+        m, seen, calibrated = s.memory, not s.quality[:bones].all(), s.quality[bones + 2] > 0.0
+        if seen and not m[SINCE]:
+            m[SINCE] = time / NS
+        if not m[PLACED] and seen and (calibrated or time / NS - m[SINCE] >= self.uncalibrated_s):
+            sole = float(self.tree.at_rest[FOOT, 1])
+            stand_here(pose, s.joints, self.tree.offsets, sole, m, s.origin, s.about, np.zeros((3, 4)))
+        there, absent = (FOLLOWS if calibrated else LOST, GONE) if m[PLACED] else (STAND, WAITING)
+        state = there if seen else absent
+        if state == m[ASKED]:
+            return []
+        m[ASKED] = state
+        return [np.array((time, STATES[state], TEXTS[STATES[state]]), PROMPT)]
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        from kinegraph.stream.domain.humanoid import usual_body
+
+        n, tree, random = 90, usual_body(), np.random.default_rng(7)
+        poses = np.tile(np.concatenate([tree.offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], len(BONES))]), (n, 1))
+        poses[:, :3] += 0.01 * random.normal(size=(n, 3)).cumsum(axis=0)
+        poses[30:, 3:] += 0.05 * random.normal(size=(n - 30, 4 * len(BONES))).cumsum(axis=0)
+        turns = poses[:, 3:].reshape(n, -1, 4)
+        turns /= np.linalg.norm(turns, axis=-1, keepdims=True)
+        joints = np.repeat(tree.at_rest[None], n, 0)
+        quality = np.zeros((n, len(BONES) + len(NOTES)))
+        quality[:10, : len(BONES)] = quality[60:70, : len(BONES)] = 1.0
+        quality[35:, len(BONES) + 2] = 1.0
+        times = grid(30.0, n)
+        given = {
+            "pose": (tree.spec(30.0), times, poses),
+            "joints": (StreamSpec((len(BONES), 3), rate_hz=30.0, channels=BONES, units=("m",)), times, joints),
+            "quality": (StreamSpec((quality.shape[1],), rate_hz=30.0), times, quality),
+        }
+        return [Case(cls(), given, least=n), Case(cls(seated=True, uncalibrated_s=0.1, turn_rad_s=5.0), given, least=n)]

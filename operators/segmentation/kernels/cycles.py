@@ -1,0 +1,248 @@
+"""The first cycle of an activity, by the lag at which it comes back to itself; and its later ones, by warping paths along the first."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kinegraph.operators.segmentation.kernels.distances import scaled
+from kinegraph.operators.segmentation.kernels.layout import (
+    AT,
+    BAND,
+    BEST,
+    BEST_END,
+    BEST_START,
+    FARTHEST,
+    FREE,
+    LAG,
+    LENGTH,
+    LIKE,
+    MASS,
+    ORIGIN,
+    RADIUS,
+    RETURNED,
+    SLOT,
+    TRAVEL_SHARE,
+    Memory,
+)
+from kinegraph.operators.segmentation.kernels.rest import reported_at_rest
+from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.kernel import kernel
+
+DIP = 0.6
+"""A cycle's lag is where the mean distance falls to this share of the largest one at a shorter lag, and to the radius."""
+RETURNS = 0.75
+"""With this share in place of DIP, and TRUSTS radii, there is no cycle to count, but motion that comes back: an activity of its own."""
+SEEN = 0.7
+"""This much of the second cycle must have been seen."""
+LEAVES = 0.8
+"""The largest mean distance at a shorter lag must be at least this share of the radius: who hardly moves has no cycle."""
+GAIN = 0.3
+"""What a path's step costs is its distance less this share of the radius; without it paths would shrink to their cheapest part."""
+TRUSTS = 1.25
+"""A known cycle's repetition may lie this many radii away on average, and so may motion that comes back."""
+SURE, STRAYS, SAME = 3, 4.0, 0.4
+"""Once SURE repetitions have been told, the next may lie STRAYS times as far from the exemplar as they do, or SAME radii: an activity's own
+radius. Half a knee's raise lies within the radius of a squat, but eight times as far from it as one squat from another."""
+FAR = 100.0
+"""This many radii apart are frames that have too few features in common, where a mean is taken."""
+LONGEST = 2
+"""Paths advance by slopes from 1 / LONGEST to LONGEST, on the whole."""
+
+
+@kernel
+def sum_up(s: Memory, i: int) -> None:
+    """Frame `i`'s distances at each lag, back to ORIGIN, added to those of the frames before it."""
+    b = s.books
+    row, sums, before = s.rows[i % s.rows.shape[0]], s.sums[i % s.sums.shape[0]], s.sums[(i - 1) % s.sums.shape[0]]
+    for k in range(1, b[LAG] + 1):
+        if k > i - b[ORIGIN]:
+            sums[k] = 0.0
+        else:
+            sums[k] = before[k] + (row[k] if row[k] < math.inf else FAR * s.values[RADIUS])
+
+
+@kernel
+def last_cycle(s: Memory, i: int, k: int) -> float:
+    """Mean distance of the newest frames to those `k` before them: of as many as a cycle has, or opens an activity, back to ORIGIN."""
+    b = s.books
+    n = min(max(k, b[MASS]), i - b[ORIGIN] + 1 - k)
+    total = s.sums[i % s.sums.shape[0], k] - s.sums[(i - n) % s.sums.shape[0], k]
+    return float(total / n)
+
+
+@kernel
+def cycle_length(s: Memory, i: int, last_chance: bool) -> int:
+    """The cycle's length by what the newest frames, up to `i`, have in common with those before them; 0: none. Notes in RETURNED
+    whether they come back at all, if not as closely as for a cycle.
+    """
+    b = s.books
+    last = longest_lag(s, i - b[ORIGIN] + 1)
+    for k in range(1, last + 1):
+        s.scratch[k] = last_cycle(s, i, k)
+    length, returned = first_dip(s, last, last_chance)
+    if returned:
+        b[RETURNED] = 1
+    return length
+
+
+@kernel
+def longest_lag(s: Memory, seen: int) -> int:
+    """The longest lag that `seen` frames say something about."""
+    b, last = s.books, 0
+    for k in range(1, b[LAG] + 1):
+        if seen - k < SEEN * max(k, b[MASS]):
+            break
+        last = k
+    return last
+
+
+@kernel
+def first_dip(s: Memory, last: int, last_chance: bool) -> tuple[int, bool]:
+    """The shortest lag at which frames come back to themselves (as YIN finds a pitch, on distances; 0: none), and whether they do at all.
+
+    Mean distances at the lags 1..last are in `scratch`. The lag must be the lowest among those about as long; at its `last_chance`, among
+    those that there are.
+    """
+    largest, returned, radius, means = 0.0, False, s.values[RADIUS], s.scratch
+    for k in range(1, last + 1):
+        mean = means[k]
+        if k >= s.books[BAND] and largest >= LEAVES * radius and mean < RETURNS * largest and mean <= TRUSTS * radius:
+            returned = True
+            wide = max(2, k // 5)
+            lowest = mean < DIP * largest and mean <= radius
+            if lowest and k + wide > last and not last_chance:
+                return 0, True
+            for j in range(k - wide, min(k + wide, last) + 1):
+                lowest = lowest and means[j] >= mean
+            if lowest:
+                return k, True
+        largest = max(largest, mean)
+    return 0, returned
+
+
+@kernel
+def columns(s: Memory, i: int, slot: int, length: int) -> None:
+    """Distances of frame `i` to the exemplar's frames, into `scratch`."""
+    out, common = s.scratch, s.common
+    ring, room = s.times.shape[0], s.exemplars.shape[1]
+    for c in range(length):
+        out[c] = common[c] = 0.0
+    at = s.clusters[slot, AT] % room
+    before = min(length, room - at)
+    for d in range(s.frames.shape[0]):
+        v = s.frames[d, i % ring]
+        line = s.exemplars[d]
+        for c in range(length):
+            apart = v - line[at + c if c < before else c - before]
+            if not math.isnan(apart):
+                out[c] += apart * apart
+                common[c] += 1.0
+    for c in range(length):
+        out[c] = scaled(s, out[c], common[c])
+        if out[c] == math.inf:
+            out[c] = FAR * s.values[RADIUS]
+
+
+@kernel
+def advance(apart: Samples, i: int, length: int, free: int, gain: float, cost: Samples, begin: Times) -> float:
+    """One frame of the dynamic programme: the cheapest warping paths that end at frame `i`, at each column of an exemplar.
+
+    Paths start at column 0, at frame `free` or later, and go by steps (1,1), weight 2, (1,0) and (0,1), weight 1. cost, begin (2, columns):
+    row 0 of the frame before, row 1 of this one; both are moved on. Returns the mean distance of the path that has come to the last
+    column, infinity if there is none within the slopes; it began at begin[0, length - 1].
+    """
+    for c in range(length):
+        step = apart[c] - gain
+        best, start = math.inf, -1
+        if c == 0:
+            if i >= free:
+                best, start = 2.0 * step, i
+        else:
+            if cost[0, c - 1] + 2.0 * step < best:
+                best, start = cost[0, c - 1] + 2.0 * step, begin[0, c - 1]
+            if cost[1, c - 1] + step < best:
+                best, start = cost[1, c - 1] + step, begin[1, c - 1]
+            if cost[0, c] + step < best:
+                best, start = cost[0, c] + step, begin[0, c]
+        if start < free or i - start >= LONGEST * length:
+            best, start = math.inf, -1
+        cost[1, c], begin[1, c] = best, start
+    for c in range(length):
+        cost[0, c], begin[0, c] = cost[1, c], begin[1, c]
+    frames = i - begin[0, length - 1] + 1
+    if cost[0, length - 1] == math.inf or frames * LONGEST < length:
+        return math.inf
+    return float(cost[0, length - 1] / (frames + length) + gain)
+
+
+@kernel
+def begin_tracking(s: Memory, free: int) -> None:
+    """Nothing known of the exemplar's paths; they may start at frame `free`."""
+    s.cost[:] = np.inf
+    s.begin[:] = -1
+    s.books[FREE] = free
+    s.books[BEST_START] = s.books[BEST_END] = -1
+    s.values[BEST] = np.inf
+
+
+@kernel
+def patience(length: int) -> int:
+    """For how many frames a complete path waits for a cheaper one before it is accepted."""
+    return max(3, length // 4)
+
+
+@kernel
+def slack(length: int) -> int:
+    """The longest pause between two repetitions that counts as part of the first."""
+    return length // 2
+
+
+@kernel
+def travel(s: Memory, first: int, last: int, length: int) -> float:
+    """How far frames first..last move, from stride to stride, of which a cycle of `length` frames has eight."""
+    stride, total = max(1, length // 8), 0.0
+    for i in range(first + stride, last + 1, stride):
+        far = s.rows[i % s.rows.shape[0], stride]
+        total += far if far < math.inf else 0.0
+    return total
+
+
+@kernel
+def trusted(s: Memory) -> float:
+    """How far a repetition may lie from its exemplar: TRUSTS radii, and as soon as SURE have shown how far theirs do, STRAYS times that."""
+    radius = s.values[RADIUS]
+    if s.books[LIKE] < SURE:
+        return float(TRUSTS * radius)
+    return float(min(TRUSTS * radius, max(STRAYS * s.values[FARTHEST], SAME * radius)))
+
+
+@kernel
+def track(s: Memory, i: int) -> bool:
+    """Follow the exemplar's paths to frame `i`; True if the best one (BEST_START to BEST_END) is now accepted. None begins at rest."""
+    b = s.books
+    length = b[LENGTH]
+    for c in range(length):
+        if s.begin[0, c] >= 0 and reported_at_rest(s, s.begin[0, c]):
+            s.cost[0, c], s.begin[0, c] = math.inf, -1
+    columns(s, i, b[SLOT], length)
+    radius = s.values[RADIUS]
+    mean = advance(s.scratch, i, length, b[FREE], GAIN * radius, s.cost, s.begin)
+    better = mean <= trusted(s) and mean < s.values[BEST]
+    if better and travel(s, s.begin[0, length - 1], i, length) >= s.values[TRAVEL_SHARE] * s.travels[b[SLOT]]:
+        s.values[BEST] = mean
+        b[BEST_START], b[BEST_END] = s.begin[0, length - 1], i
+    return bool(b[BEST_END] >= 0 and i - b[BEST_END] >= patience(length))
+
+
+@kernel
+def release(s: Memory) -> None:
+    """The best path is accepted: the next one starts about where it ended."""
+    b = s.books
+    b[FREE] = b[BEST_END] + 1 - patience(b[LENGTH]) // 2
+    for c in range(b[LENGTH]):
+        if s.begin[0, c] < b[FREE]:
+            s.cost[0, c], s.begin[0, c] = np.inf, -1
+    b[BEST_START] = b[BEST_END] = -1
+    s.values[BEST] = np.inf

@@ -1,5 +1,0 @@
-"""`python -m stream` is `kinegraph`."""
-
-from stream.cli import main
-
-main()

@@ -1,0 +1,227 @@
+"""The command line: `kinegraph COMMAND ...`. Each command is loaded when it is called, so that help and short commands are quick."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial, wraps
+from importlib.metadata import entry_points, version
+from io import TextIOWrapper
+from types import FrameType
+from typing import Any, NoReturn
+
+from kinegraph.stream.compiler.llvm_guard import later, within_llvm
+from kinegraph.stream.errors import Interrupted, KinegraphError, Terminated, nearest
+from kinegraph.stream.system.atomic_file import be_private
+from kinegraph.stream.system.entry_points import loaded
+from kinegraph.stream.text.safe_text import say
+
+COMMANDS = {
+    "run": ("kinegraph.stream.cli.commands.run:run", "Run a graph on live devices; record the session."),
+    "replay": ("kinegraph.stream.cli.commands.replay:replay", "Run a graph on a recording; same results, bit for bit."),
+    "batch": ("kinegraph.stream.cli.commands.batch:batch", "Replay a graph over many recordings, into Parquet tables."),
+    "check": ("kinegraph.stream.cli.commands.check:check", "Check a graph; print its streams, delays and memory."),
+    "draw": ("kinegraph.stream.cli.commands.draw:draw", "Draw a graph in the terminal, or as Mermaid or DOT."),
+    "parts": (
+        "kinegraph.stream.cli.commands.parts:parts",
+        "List what a graph can use: sources, operators, outlets, their parameters.",
+    ),
+    "configs": (
+        "kinegraph.stream.cli.commands.configs:configs",
+        "List the graphs that come with kinegraph; copy them.",
+    ),
+    "schema": ("kinegraph.stream.cli.commands.schema:schema", "Write the JSON Schema of graphs, for editors."),
+    "info": ("kinegraph.stream.cli.commands.info:info", "Show what a recording holds."),
+    "recover": ("kinegraph.stream.cli.commands.recover:recover", "Complete a recording left by a killed process."),
+    "try": ("kinegraph.stream.cli.commands.try_:try_", "Check an operator of your own against the laws."),
+}
+"""Our commands; packages add theirs through the entry-point group `kinegraph.commands`."""
+
+
+USAGE = """usage: kinegraph COMMAND [ARGUMENTS]
+
+A real-time engine for motion and biosignal devices: graphs in YAML, live or replayed bit for bit.
+"""
+
+
+def main() -> None:
+    """The entry point: errors that a user can act on are printed without a traceback; the exit code tells what kind they were."""
+    try:
+        arguments = sys.argv[1:]
+        _make_sure_of_outputs()
+        be_private()
+        with _terminable() as terminated:
+            try:
+                _main(arguments)
+            except SystemExit as end:
+                if end.code == 130 and (
+                    terminated or _by_termination(end)
+                ):  # which is what click makes of any interruption
+                    raise Terminated from None
+                raise
+    except KeyboardInterrupt as end:  # also before a command has begun, while it is being imported
+        _stop(end)
+
+
+def _by_termination(end: BaseException) -> bool:
+    """Whether it was SIGTERM that led to this, whoever heard it."""
+    before = end.__cause__ or end.__context__
+    return before is not None and (isinstance(before, Terminated) or _by_termination(before))
+
+
+def _stop(end: KeyboardInterrupt) -> NoReturn:
+    say("kinegraph: stopped", err=True)
+    sys.exit(143 if isinstance(end, Terminated) else 130)
+
+
+def _main(arguments: list[str]) -> None:
+    try:
+        if not arguments or arguments[0] in ("-h", "--help", "help"):
+            say(overview(), err=not arguments)
+            sys.exit(0 if arguments else 2)
+        if arguments[0] in ("-V", "--version"):
+            say(f"kinegraph {version('kinegraph')}")
+            return
+        call(arguments[0], arguments[1:])
+    except KinegraphError as error:
+        say(f"kinegraph: {error}", err=True)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        _forget_output()
+        sys.exit(141)
+    except OSError as error:
+        say(f"kinegraph: {f'{error.filename}: ' if error.filename else ''}{error.strerror or error}", err=True)
+        sys.exit(2)
+
+
+def _make_sure_of_outputs() -> None:
+    """A closed output becomes one that nobody reads, and signs that a terminal lacks become question marks, instead of errors."""
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115, PTH123 - for as long as the program runs
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115, PTH123
+    for output in (sys.stdout, sys.stderr):
+        if isinstance(output, TextIOWrapper) and output.encoding.lower().replace("-", "") != "utf8":
+            output.reconfigure(errors="replace")
+
+
+@contextmanager
+def _terminable() -> Iterator[list[int]]:
+    """Within: SIGTERM ends the program in order, so that drafts are removed and locks given back. (A session has its own, cleaner end.)
+
+    Gives a list that holds the signal once it has come.
+    """
+    came: list[int] = []
+
+    def end(number: int, frame: FrameType | None) -> None:
+        if within_llvm(frame):
+            later(partial(signal.raise_signal, number))
+            return
+        came.append(number)
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, end)}
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, _interrupt)
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    if within_llvm(frame):
+        later(partial(signal.raise_signal, number))
+        return
+    raise Interrupted  # which no operator can be taken for that raises KeyboardInterrupt by itself
+
+
+def _forget_output() -> None:
+    """Nobody reads standard output any more: what waits for it is dropped, so that the end of the program does not complain."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def call(name: str, arguments: list[str]) -> None:
+    """Run one command (or a group of them, a Typer app); wrong arguments end the program with exit code 2 and the command's usage."""
+    import typer
+
+    found = function_of(name)
+    if isinstance(found, typer.Typer):
+        app = found
+        for command in app.registered_commands:
+            command.callback = _interruptible(command.callback)
+    else:
+        app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+        app.command(
+            name, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_settings_of(name, arguments)
+        )(_interruptible(found))
+    app(arguments, prog_name=f"kinegraph {name}")
+
+
+def _settings_of(name: str, arguments: list[str]) -> str | None:
+    """What the help of a command says of the graph that it is called with."""
+    if not {"-h", "--help"} & set(arguments):
+        return None
+    from kinegraph.stream.cli.commands.graph_help import settings_help
+
+    text = settings_help(name, arguments)
+    return f"\b\n{text}" if text else None
+
+
+def _interruptible(function: Any) -> Any:
+    """The command. Ctrl-C ends it with 130, SIGTERM with 143, a reader that left with 141; click would hide these, and any EOFError."""
+
+    @wraps(function)
+    def command(*args: Any, **options: Any) -> Any:
+        try:
+            return function(*args, **options)
+        except KeyboardInterrupt as end:
+            _stop(end)
+        except BrokenPipeError:  # click would end with 1, which says that a comparison found a difference
+            _forget_output()
+            sys.exit(141)
+        except EOFError as error:
+            raise RuntimeError("a file ended too early") from error
+
+    return command
+
+
+def overview() -> str:
+    """What `kinegraph --help` prints."""
+    rows, broken = {name: text for name, (_, text) in COMMANDS.items()}, list[str]()
+    for entry in added():
+        try:
+            rows[entry.name] = _first_line(loaded(entry, "command"))
+        except KinegraphError as error:
+            broken.append(f"\n{error}")
+    width = max(map(len, rows))
+    listing = "\n".join(f"  {name:<{width}} {text}" for name, text in rows.items())
+    return f"{USAGE}\ncommands:\n{listing}\n{''.join(broken)}\nkinegraph COMMAND --help says more."
+
+
+def function_of(name: str) -> Any:
+    if name in COMMANDS:
+        module, _, function = COMMANDS[name][0].partition(":")
+        return getattr(importlib.import_module(module), function)
+    others = added()
+    for entry in others:
+        if entry.name == name:
+            return loaded(entry, "command")
+    raise KinegraphError(f"there is no command {name!r}; {nearest(name, [*COMMANDS, *(e.name for e in others)])}")
+
+
+def added() -> list[Any]:
+    return [e for e in entry_points(group="kinegraph.commands") if e.name not in COMMANDS]
+
+
+def _first_line(function: Any) -> str:
+    callback = getattr(getattr(function, "registered_callback", None), "callback", function)
+    return (callback.__doc__ or "").strip().partition("\n")[0]

@@ -1,0 +1,220 @@
+"""CSV tables and NPZ archives, read as named arrays; what is wrong in them is named by file and line."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinegraph.stream.chunk import Array
+from kinegraph.stream.data.bounded import arrays, reading
+from kinegraph.stream.errors import KinegraphError, RecordingError
+
+DELIMITERS = ",;\t|"
+
+
+@dataclass(slots=True)
+class FileColumn:
+    """An array of a file. `row` is what messages call its first row, e.g. 2 where line 1 of a CSV is the header."""
+
+    data: Array
+    file: Path
+    row: int = 0
+    unit: str = ""
+
+    @property
+    def where(self) -> str:
+        return f"{self.file}: {'line' if self.row else 'row'}"
+
+
+def read_npz(path: Path) -> dict[str, FileColumn]:
+    """The arrays of an NPZ file. Raises RecordingError; nothing that would run code (pickles) is loaded."""
+    with reading(path, "an NPZ file"):
+        return {name: FileColumn(array, path) for name, array in arrays(path).items()}
+
+
+def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
+    """The columns of a CSV file with a header line: names, with units in brackets ("emg [uV]").
+
+    The delimiter (comma, semicolon, tab or bar) is found in the header; with another one than a comma, numbers may have decimal commas.
+    Empty cells are NaN; lines before the header that begin with # are skipped, and the first `skip_rows` whatever they hold; after these
+    the header may be missing (then the columns are column1, column2, ...). A line of units may follow the header.
+    Raises RecordingError with file and line.
+    """
+    text = read_text(path, "CSV")
+    if "\0" in text:
+        raise RecordingError(f"{path}: holds zero bytes; it is not text, or was damaged")
+    lines = text.split("\n")
+    skip = skip_rows or 0
+    at = next((i for i, line in enumerate(lines) if i >= skip and line.strip() and not line.startswith("#")), None)
+    if at is None:
+        raise RecordingError(f"{path}: the file is empty")
+    if _by_spaces(lines, at):
+        lines = ["\t".join(line.split()) for line in lines]
+    delimiter = max(DELIMITERS, key=lines[at].count)
+    header = [name.strip() for name in next(csv.reader([lines[at]], delimiter=delimiter))]
+    headless = skip_rows is not None and all(not name or _is_number(name) for name in header)
+    if headless:
+        header = [f"column{i + 1}" for i in range(len(header))]
+        at -= 1
+    if any(_is_number(name) for name in header):
+        raise RecordingError(
+            f"{path}: line {at + 1}: the first line must name the columns, but holds the number {next(filter(_is_number, header))};"
+            " say how many lines to pass over with --skip-rows N (0: none, but there is no header)"
+        )
+    names = [_split(name) for name in header]
+    if nameless := [str(i + 1) for i, (name, _) in enumerate(names) if not name]:
+        raise RecordingError(
+            f"{path}: line {at + 1}: every column needs a name of its own; number {', '.join(nameless)} has none"
+        )
+    if twice := sorted(name for name, count in Counter(name for name, _ in names).items() if count > 1):
+        raise RecordingError(
+            f"{path}: line {at + 1}: every column needs a name of its own beside its unit;"
+            f" {', '.join(map(repr, twice))} appears more than once"
+        )
+    while not lines[-1].strip():
+        lines.pop()
+    if units := _units(lines, at + 1, delimiter, len(names)):
+        names = [(name, unit or told) for (name, unit), told in zip(names, units, strict=True)]
+        at += 1
+    data = _fast(lines[at + 1 :], delimiter, len(names))
+    if data is None:
+        data = _careful(path, lines, at + 1, delimiter, header)
+    return {
+        name: FileColumn(np.ascontiguousarray(data[:, i]), path, at + 2, unit) for i, (name, unit) in enumerate(names)
+    }
+
+
+def read_rows(path: Path) -> Array | None:
+    """The numbers (n, columns) of a table that has no header; None for one that begins with something else than numbers.
+
+    The delimiter may also be spaces. Raises RecordingError with file and line.
+    """
+    lines = read_text(path, "CSV").split("\n")
+    while lines and not lines[-1].strip():
+        lines.pop()
+    if not lines:
+        raise RecordingError(f"{path}: the file is empty")
+    cut = next((d for d in DELIMITERS if d in lines[0]), None)
+    width = len(lines[0].split(cut))
+    if not all(_is_number(cell) for cell in lines[0].split(cut)):
+        return None
+    made = np.empty((len(lines) if len(lines) * width <= sum(map(len, lines)) else 1, width))
+    for number, line in enumerate(lines, 1):
+        cells = line.split(cut)
+        if len(cells) != width:
+            raise RecordingError(f"{path}: line {number}: {len(cells)} numbers, but the first line has {width}")
+        for i, cell in enumerate(cells):
+            try:
+                made[number - 1, i] = float(cell if cut == "," else cell.replace(",", "."))
+            except ValueError:
+                raise RecordingError(f"{path}: line {number}: {cell!r} is not a number") from None
+    return made
+
+
+def read_records(path: Path) -> list[tuple[int, dict[str, str]]]:
+    """The rows of a CSV file whose first line names the columns: the line of each, and its cells by name. Raises KinegraphError."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return list(enumerate(csv.DictReader(file), 2))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise KinegraphError(f"{path}: cannot be read: {error}") from None
+
+
+def read_text(path: Path, kind: str) -> str:
+    """The whole of a text file in UTF-8; raises RecordingError where it cannot be one of this kind."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise RecordingError(
+            f"{path}: not a text file in UTF-8, so no {kind}; if a spreadsheet wrote it, save it again as UTF-8"
+        ) from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def _split(name: str) -> tuple[str, str]:
+    """A column's name and unit: "emg [uV]" or "emg (uV)"."""
+    match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", name)
+    return (match[1].strip(), match[2].strip()) if match else (name, "")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _by_spaces(lines: list[str], at: int) -> bool:
+    """Whether a table has blanks between its cells: no other delimiter, and as many words in its first line as numbers in a later one."""
+    words = lines[at].split()
+    if len(words) < 2 or any(delimiter in lines[at] for delimiter in DELIMITERS):
+        return False
+    rows = [line.split() for line in lines[at : at + 3] if line.strip()]
+    return any(len(row) == len(words) and all(map(_is_number, row)) for row in rows)
+
+
+def _units(lines: list[str], at: int, delimiter: str, columns: int) -> list[str]:
+    """The units in a line of short words, one for each column, or blank; [] where the line is none."""
+    cells = next(csv.reader([lines[at]], delimiter=delimiter), []) if at < len(lines) else []
+    told = [cell.strip().strip("[]()") for cell in cells]
+    words = [cell for cell in told if cell and cell != "-"]
+    known = all(re.fullmatch(r"[A-Za-z\u00b5\u03bc%\u00b0][A-Za-z0-9/*.^\u00b2]{0,7}|-", word) for word in words)
+    fits = len(told) == columns and words and known and not any(map(_is_number, words))
+    return ["" if cell == "-" else cell for cell in told] if fits else []
+
+
+def _fast(body: list[str], delimiter: str, columns: int) -> Array | None:
+    """numpy's own reader, where the table is what it should be; else None."""
+    if not body:
+        return np.empty((0, columns))
+    if not all(map(str.strip, body)):
+        return None
+    try:
+        data: Array = np.loadtxt(body, delimiter=delimiter, ndmin=2, comments=None, quotechar='"')
+    except ValueError:
+        return None
+    return data if data.shape[1] == columns else None
+
+
+def _careful(path: Path, lines: list[str], start: int, delimiter: str, header: list[str]) -> Array:
+    """Cell by cell: decimal commas, empty cells, and the line of whatever is no number."""
+    rows = list(_rows(path, lines, start, delimiter, header))
+    return np.array(rows).reshape(len(rows), len(header))
+
+
+def _rows(path: Path, lines: list[str], start: int, delimiter: str, header: list[str]) -> Iterator[list[float]]:
+    for number, line in enumerate(lines[start:], start + 1):
+        cells = next(csv.reader([line], delimiter=delimiter), [])
+        if len(cells) != len(header):
+            raise RecordingError(
+                f"{path}: line {number}: {len(cells)} cells, but the header names {len(header)} columns"
+            )
+        try:
+            yield [_value(cell, delimiter) for cell in cells]
+        except ValueError:
+            i = next(i for i, cell in enumerate(cells) if not _reads(cell, delimiter))
+            raise RecordingError(
+                f"{path}: line {number}: {cells[i]!r} in column {header[i]!r} is not a number"
+            ) from None
+
+
+def _value(cell: str, delimiter: str) -> float:
+    if not cell.strip():
+        return np.nan
+    return float(cell if delimiter == "," else cell.replace(",", "."))
+
+
+def _reads(cell: str, delimiter: str) -> bool:
+    try:
+        _value(cell, delimiter)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,23 @@
+"""An alarm: something is wrong with what is being recorded, and somebody can still do something about it."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+
+from kinegraph.stream.chunk import Chunk
+
+ALARM = np.dtype([("onset", "<i8"), ("subject", "<U16"), ("state", "<U8"), ("what", "<U64"), ("advice", "<U120")])
+"""What is wrong, with whom (a channel, "contacts"), since when, and what to do; `state` is "on", or "over" when it has passed."""
+ALARM_UNITS = ("ns", "", "", "", "")
+ON, OVER = "on", "over"
+
+FoundAlarms: TypeAlias = list[tuple[int, tuple[int, str, str, str, str]]]
+"""Alarms with their stamps."""
+
+
+def alarm_chunk(found: FoundAlarms, chunk: Chunk) -> Chunk:
+    """The alarms that a chunk of an input has led to."""
+    stamps = np.array([stamp for stamp, _ in found], np.int64)
+    return Chunk(stamps, np.array([row for _, row in found], ALARM), chunk.until, -1 if chunk.lost else 0)

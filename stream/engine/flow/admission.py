@@ -1,0 +1,168 @@
+"""What may enter the graph: every rule about a source's chunk, as functions of the chunk and a few numbers, without thread or clock.
+
+`soundness` tells a chunk to which nothing needs to be done; else `conform` puts it into the arrays that its spec declares and `ordered`
+refuses time that runs backwards. `admit` decides lateness, gaps and the watermark, `followed` gives background sources the data's time
+where no source is live. Whichever way a chunk takes into the graph (`stream.engine.ingress`), inline on its source's thread or through a
+queue, these are what it passes; what a full queue does is `stream.graph.backpressure`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import msgspec
+import numpy as np
+
+from kinegraph.stream.chunk import FOREVER, NS, STAMP, Array, Chunk, StreamSpec, Times, add_lost
+from kinegraph.stream.engine.flow.promise import END, MOST_LOST
+from kinegraph.stream.kernel import kernel
+
+AHEAD_NS = NS
+"""A live sample's stamp may lie this far after its arrival, by what a device's clock is wrong; beyond that it is reported."""
+
+JOINED_BYTES = 8192
+"""Chunks with more samples than this enter alone: to copy them costs more than it saves."""
+
+
+class Verdict(msgspec.Struct, gc=False):
+    """What becomes of a chunk.
+
+    chunk     as it enters; None: it says nothing new, and nothing changes
+    late      how many samples were dropped because they came at or before the watermark
+    ahead_ns  how far the watermark lies ahead of the arrival, beyond what a clock may be wrong; 0: it does not
+    """
+
+    chunk: Chunk | None
+    late: int = 0
+    ahead_ns: int = 0
+
+
+NOTHING_NEW = Verdict(None)
+
+
+def soundness(spec: StreamSpec) -> Callable[[Chunk], bool]:
+    """What tells whether a source's chunk is as it should be in every respect: `conform` and `ordered` would give it back as it is.
+
+    It is asked of every chunk, so it remembers the shape that the last one had, and few names are looked up.
+    """
+    array, dtype, tail, shape, rows = np.ndarray, spec.dtype, spec.shape, spec.shape, -1
+
+    def is_sound(chunk: Chunk) -> bool:
+        nonlocal shape, rows
+        time, data, until = chunk.time, chunk.data, chunk.until
+        if time.__class__ is not array or data.__class__ is not array:
+            return False
+        if time.dtype is not STAMP or data.dtype is not dtype:
+            return False
+        n = len(time)
+        if n != rows or data.shape != shape:
+            if data.shape != (n, *tail):
+                return False
+            shape, rows = data.shape, n
+        return time.flags.carray and -1 <= chunk.lost <= MOST_LOST and -END < until < END and _is_ordered(time, until)
+
+    return is_sound
+
+
+def conform(spec: StreamSpec, chunk: Chunk) -> Chunk:
+    """The chunk in arrays of the declared dtypes, its stamps side by side in memory. Its shape may be another; samples are put in order by
+    the edge they enter."""
+    time, data = chunk.time, chunk.data
+    if (
+        time.__class__ is np.ndarray
+        and time.dtype is STAMP
+        and time.flags.carray
+        and data.__class__ is np.ndarray
+        and data.dtype is spec.dtype
+    ):
+        return chunk
+    times, samples = np.require(time, STAMP, ["C", "A", "W"]), np.require(data, spec.dtype, ["C", "A", "W"])
+    return Chunk(times, samples, chunk.until, chunk.lost)
+
+
+def ordered(chunk: Chunk) -> tuple[Chunk, int]:
+    """The chunk without samples older than one before them, complete up to its last sample; and how many were dropped."""
+    time, dropped = chunk.time, 0
+    n = len(time)
+    if n > 1 and (time[1:] < time[:-1]).any():
+        keep = time >= np.maximum.accumulate(time)
+        dropped = n - int(keep.sum())
+        time = np.ascontiguousarray(time[keep])
+        chunk = Chunk(time, np.ascontiguousarray(chunk.data[keep]), chunk.until, chunk.lost)
+    if n and chunk.until < (last := time.item(-1)):
+        chunk = Chunk(time, chunk.data, last, chunk.lost)
+    return chunk, dropped
+
+
+@kernel
+def _is_ordered(time: Times, until: int) -> bool:
+    """Whether no stamp of `time` (n,) lies before the one before it, and all, and `until`, where it may: after -END, up to `until`."""
+    before = 1 - END
+    for i in range(time.shape[0]):
+        if time[i] < before:
+            return False
+        before = time[i]
+    return before <= until
+
+
+def admit(chunk: Chunk, watermark: int, owed: int, arrival: int, *, awaited: bool, watched: bool) -> Verdict:
+    """The lateness rule: a sample at or before the stream's `watermark` is dropped and counted as lost; the watermark never goes back.
+
+    owed      samples lost before the next one, beyond what its chunk says
+    arrival   when the chunk came (ns of session time)
+    awaited   whether anybody waits for what time brings; if not, only samples enter
+    watched   whether stamps ahead of the session's clock are still to be reported
+    """
+    time, until, lost = chunk.time, chunk.until, chunk.lost
+    n, late = len(time), 0
+    ahead_ns = until - arrival if watched and arrival + AHEAD_NS < until < FOREVER else 0
+    if n and time.item(0) <= watermark:
+        keep = time > watermark
+        late = n - int(keep.sum())
+        n -= late
+        lost = add_lost(lost, late)
+        chunk = Chunk(np.ascontiguousarray(time[keep]), np.ascontiguousarray(chunk.data[keep]), until, lost)
+    if not n:
+        if not lost and (until <= watermark or not (awaited or until == FOREVER)):
+            return Verdict(None, late, ahead_ns) if late or ahead_ns else NOTHING_NEW
+    elif owed:
+        lost = add_lost(owed, lost)
+    if until < watermark:
+        until = watermark
+    if lost != chunk.lost or until != chunk.until:
+        chunk = Chunk(chunk.time, chunk.data, until, lost)
+    return Verdict(chunk, late, ahead_ns)
+
+
+def followed(chunk: Chunk, watermark: int, newest: int) -> Chunk:
+    """A background source's chunk where no other source is live: stamped when it enters by how far the data have come (`newest`), since
+    the clock says nothing about them. Never late, for its samples lie after the stream's `watermark`."""
+    n = len(chunk.time)
+    at = max(newest, watermark + 1) if n else newest
+    return Chunk(np.full(n, at, STAMP), chunk.data, FOREVER if chunk.until == FOREVER else at, chunk.lost)
+
+
+def joins(until: int, chunk: Chunk) -> bool:
+    """Whether a chunk may enter together with those before it, complete up to `until`: no answer depends on how samples come in chunks, and
+    what each chunk costs is so paid once for all. Not where something is said between them: a gap, a sample that comes too late, that none
+    came, the end."""
+    time = chunk.time
+    if chunk.lost or not len(time) or chunk.data.nbytes > JOINED_BYTES:
+        return False
+    return time.item(0) > until and chunk.until < END
+
+
+def join(chunks: Sequence[Chunk]) -> Chunk:
+    """Chunks of one stream, each of which `joins` the one before it, as one."""
+    if len(chunks) == 1:
+        return chunks[0]
+    time, data = _joined([chunk.time for chunk in chunks]), _joined([chunk.data for chunk in chunks])
+    return Chunk(time, data.reshape(len(time), *chunks[0].data.shape[1:]), chunks[-1].until, chunks[0].lost)
+
+
+def _joined(arrays: list[Array]) -> Array:
+    """Arrays of one dtype, one after the other in memory of their own; flat where they are in order already, which is ten times as fast."""
+    try:
+        return np.frombuffer(bytearray().join(arrays), arrays[0].dtype)  # type: ignore[arg-type]
+    except (BufferError, ValueError, TypeError):  # such as rows that are not in order
+        return np.concatenate(arrays, dtype=arrays[0].dtype)
