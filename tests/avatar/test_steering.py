@@ -69,6 +69,7 @@ def test_rigid_parts_of_a_bar_that_bends_are_found() -> None:
     assert set(np.unique(parts)) == {0, 1}
 
 
+@pytest.mark.nightly
 def test_as_few_parts_as_an_error_allows() -> None:
     edges = edges_of(FACES)
     left = {count: rigid_error(STRIDE, near_rigid_parts(STRIDE, edges, count)) for count in (1, 5, 12)}

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from bench.facing import trained, turned_round
 from kinegraph.operators.body.facing import CELLS
+
+pytestmark = pytest.mark.nightly
 
 
 def test_a_heading_is_learned_from_shapes() -> None:

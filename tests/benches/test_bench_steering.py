@@ -10,6 +10,8 @@ from bench.steering_gradients import Surface, Turned
 from bench.steering_meshes import MovingMesh, compared
 from kinegraph.devices.people.quadruped import marked, topology, walking
 
+pytestmark = pytest.mark.nightly
+
 STRIDE = np.array([walking(k / 48) for k in range(48)])
 
 

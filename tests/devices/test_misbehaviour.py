@@ -196,6 +196,7 @@ def missing(table: Table) -> list[str]:
 
 
 @pytest.mark.timeout(400)
+@pytest.mark.nightly
 def test_all_devices_misbehave_at_once_and_the_rest_goes_on(tmp_path: Path) -> None:
     made, view = graph(), Watching()
     with ExitStack() as cables:

@@ -7,8 +7,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from kinegraph.stream.recording import Recording
+
+pytestmark = pytest.mark.nightly
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_emg.yaml"
 SINCE_S = 80

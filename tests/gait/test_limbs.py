@@ -250,6 +250,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, kinegraph("run", CONFIG, *sets, "-o", folder / "rec", "--view", "lines")
 
 
+@pytest.mark.nightly
 def test_the_bilateral_session_from_end_to_end(session: tuple[Path, str]) -> None:
     """Drifting plates, three stages, one electrode off: told, no good cycle lost, and the table's means are those of its own rows."""
     folder, shown = session

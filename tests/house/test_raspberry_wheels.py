@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.nightly
+
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 TAGS = (*tuple(f"manylinux_2_{minor}_aarch64" for minor in range(36, 16, -1)), "manylinux2014_aarch64", "linux_aarch64")
 """What Raspberry Pi OS 12 takes: glibc 2.36, Python 3.11."""

@@ -51,6 +51,7 @@ def test_every_component_is_in_the_reference_with_its_parameters(site: Path) -> 
             assert name in pages[kind], f"{use}: {name}"
 
 
+@pytest.mark.nightly
 def test_every_page_is_there_and_can_be_searched(site: Path) -> None:
     wanted = [p.relative_to(HOUSE / "docs").with_suffix(".html") for p in (HOUSE / "docs").rglob("*.md")]
     wanted += [Path("notebooks") / f"{p.stem}.html" for p in (HOUSE / "docs" / "notebooks").glob("*.ipynb")]

@@ -172,6 +172,7 @@ def test_a_walk_is_smooth_and_its_feet_stand(graph: MotionGraph) -> None:
     assert np.linalg.norm(np.diff(joints, axis=0), axis=2).max() < 0.25
 
 
+@pytest.mark.nightly
 def test_a_seed_says_all(graph: MotionGraph) -> None:
     first, again, other = (walked(GraphWalk(graph, seed=s), 400)[0] for s in (3, 3, 4))
     assert np.array_equal(first, again) and not np.array_equal(first, other)

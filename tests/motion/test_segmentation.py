@@ -622,6 +622,7 @@ def test_stillness_before_the_motion_does_not_change_what_is_found(still_s: int)
 
 
 @pytest.mark.parametrize("still_s", [2, 20, 75])
+@pytest.mark.nightly
 def test_stillness_before_the_motion_is_told_as_rest(still_s: int) -> None:
     """As soon as the motion is known, and of more than the window what the window holds; before a gap and behind it."""
     operator, x = Segment(), stacked(lifts(2, 5, 50, 0, still=round(still_s * RATE)))

@@ -82,6 +82,7 @@ def test_names_are_right_as_the_exercises_go(trained: tuple[Path, Routine]) -> N
         assert mine.sum() >= TEN - 2 and set(told["name"][mine]) == {name}
 
 
+@pytest.mark.nightly
 def test_the_report_has_ten_of_each_with_its_name(trained: tuple[Path, Routine]) -> None:
     folder, routine = trained
     _, told = found(folder, "named.repetition")

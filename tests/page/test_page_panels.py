@@ -236,6 +236,7 @@ def test_markers_stand_where_they_were_and_a_hidden_one_is_not_drawn(
 
 
 @pytest.mark.parametrize("panel", ["markers", "a skeleton"])
+@pytest.mark.nightly
 def test_names_do_not_stand_over_one_another(page: LiveBrowser, panel: str, at: dict[str, Any]) -> None:
     seek(page, at["joints"])
     script = f"""[...document.querySelectorAll('[aria-label="{panel}"] .name')].filter(e => getComputedStyle(e).visibility === 'visible'

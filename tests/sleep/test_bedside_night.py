@@ -20,6 +20,8 @@ from kinegraph.stream.graph.reading.load import read_expanded
 from tests.support import home_assistant
 from tests.support.mosquitto import Listener, broker, listening
 
+pytestmark = pytest.mark.nightly
+
 HERE = Path(__file__).parent
 CONFIG = HERE.parents[1] / "configs" / "bedside_sleep.yaml"
 HISTORY = "kinegraph/bed/history/scorer"

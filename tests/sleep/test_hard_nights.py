@@ -19,6 +19,8 @@ from kinegraph.devices.reports.night import archive
 from kinegraph.stream.chunk import NS
 from tests.sleep.hard_night import Lived, live
 
+pytestmark = pytest.mark.nightly
+
 NIGHTS = int(os.environ.get("KINEGRAPH_NIGHTS", "1"))
 Rows = list[dict[str, str]]
 

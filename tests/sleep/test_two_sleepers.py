@@ -123,6 +123,7 @@ def test_the_check_has_them_lie_down_one_after_the_other(
 # a report each -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_each_gets_a_report(tmp_path: Path) -> None:
     shipped: Any = read_expanded(CONFIG).plain()
     nodes = shipped["nodes"]

@@ -48,6 +48,7 @@ def study(tmp_path: Path) -> Path:
 
 
 @pytest.mark.timeout(600 if RECORDINGS < 50 else 3600)
+@pytest.mark.nightly
 def test_a_study_is_killed_half_way_run_again_and_read_as_one_frame(study: Path) -> None:
     names = sorted(path.name for path in study.glob("*.mcap"))
     setting = f"smooth.cutoff_hz={','.join(map(str, CUTOFFS))}"
