@@ -31,7 +31,7 @@ SETTINGS = (
     "{stage: 1.5 m/s, cycles: 500, speed_m_s: 1.5}]",
 )  # fmt: skip
 
-pytestmark = [pytest.mark.timeout(900), pytest.mark.xdist_group("bilateral session")]
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(900), pytest.mark.xdist_group("bilateral session")]
 
 
 @dataclass

@@ -19,7 +19,7 @@ from tests.support.real import DATA_MARKS
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "overground_emg.yaml"
 DATA = os.environ.get("KINEGRAPH_DATA", "")
-pytestmark = DATA_MARKS
+pytestmark = [*DATA_MARKS, pytest.mark.nightly]
 
 WALKS = [f"{subject}/{trial}" for subject in ("S1_FLOAT", "S2_NO_FLOAT", "S3_FLOAT", "S3_NO_FLOAT", "S4_FLOAT", "S4_NO_FLOAT")
          for trial in ("T_01", "T_02", "T_03")]  # fmt: skip

@@ -31,6 +31,7 @@ REPLAY = re.compile(
 )
 
 pytestmark = [
+    pytest.mark.nightly,
     needs_page,
     needs_browser,
     pytest.mark.timeout(500),
