@@ -1,4 +1,4 @@
-"""`python configs/rename_graph.py OLD.yaml > NEW.yaml`: a graph from before the rooms moved, with the names of today.
+"""`python configs/rename_graph.py OLD.yaml > NEW.yaml`: a graph of an earlier version, with the names of today.
 
 A recording holds the graph that made it; with the renamed graph, `kinegraph replay NEW.yaml RECORDING --verify` gives what it gave then.
 
@@ -33,9 +33,11 @@ RENAMED = {
 
 def renamed(text: str) -> str:
     """The text of a graph with today's dotted names."""
+    from kinegraph.stream.graph.moved import MOVED
+
     for old, new in RENAMED.items():
         text = re.sub(rf"(?<![\w.]){re.escape(old)}", new, text)
-    return text
+    return re.sub(r"(?<![\w.])(?:stream|devices|operators)(?:\.\w+)+", lambda use: MOVED.get(use[0], use[0]), text)
 
 
 NODES = {
@@ -51,8 +53,8 @@ NODES = {
 
 def before_parts(graph: str) -> str:
     """A shipped graph without parts, with its nodes' names of old. Raises ValueError where two nodes would have one name."""
-    from stream.graph.load import read_expanded
-    from stream.graph.overrides import dump
+    from kinegraph.stream.graph.reading.load import read_expanded
+    from kinegraph.stream.graph.reading.overrides import dump
 
     whole = read_expanded(Path(graph)).plain()
     special = NODES.get(Path(graph).stem, {})
