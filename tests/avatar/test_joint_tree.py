@@ -13,6 +13,8 @@ from kinegraph.stream.domain.mesh import Topology
 from kinegraph.stream.domain.skeleton import JointTree, joints_of, local_poses
 from kinegraph.stream.errors import InputError
 
+pytestmark = pytest.mark.quick
+
 RNG = np.random.default_rng(18)
 PARENTS = np.array([-1, 0, 1, 1, 3, 0])
 TREE = JointTree(("Hips", "Spine", "Head", "LeftArm", "LeftHand", "LeftFoot"), PARENTS, RNG.normal(size=(6, 3)))

@@ -10,6 +10,8 @@ from bench.scenes import PLAIN, SCENES, Visited, VisitedRenderer, row, truth_of
 from kinegraph.operators.sleep.evaluation.agreement import Confusion
 from tests.support.rendered_room import Renderer
 
+pytestmark = pytest.mark.quick
+
 
 def test_the_truth_is_what_happens() -> None:
     truth = truth_of(Visited(150, ((40.0, 130.0),), moves=(10.0, 58.0, 65.0)))

@@ -11,6 +11,8 @@ from kinegraph.devices.clocks.packet_clock import PacketClock
 from kinegraph.stream.chunk import NS, Times
 from tests.support.device_feed import Kept
 
+pytestmark = pytest.mark.quick
+
 RATE = 250.0
 PERIOD = NS / RATE
 START = 1_767_225_600 * NS

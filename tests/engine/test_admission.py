@@ -16,6 +16,8 @@ from kinegraph.stream.engine.supervisor import TRANSITIONS
 from kinegraph.stream.errors import RunError
 from kinegraph.stream.graph.backpressure import POLICIES, Policy
 
+pytestmark = pytest.mark.quick
+
 SPEC = StreamSpec((1,), rate_hz=1000.0)
 
 

@@ -13,6 +13,8 @@ from kinegraph.stream.chunk import NS
 from kinegraph.stream.operator import grid
 from tests.support.convert_run import imported, refused
 
+pytestmark = pytest.mark.quick
+
 
 def test_csv_with_units_and_a_time_column(tmp_path: Path) -> None:
     rows = [f"{i / 100:.2f},{i * 0.5},{-i}" for i in range(200)]

@@ -14,6 +14,8 @@ from kinegraph.stream.errors import InputError, ParameterError
 from tests.gait.naive_emg import zero_phase_envelope
 from tests.support.emg_run import recording
 
+pytestmark = pytest.mark.quick
+
 RATE = 1000.0
 
 

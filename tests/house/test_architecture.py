@@ -53,6 +53,7 @@ def imported(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", ALL)
+@pytest.mark.quick
 def test_imports_point_one_way(path: Path) -> None:
     package = path.relative_to(ROOT).parts[0]
     assert imported(path) & set(PACKAGES) <= MAY_IMPORT[package]
@@ -181,6 +182,7 @@ def circles() -> list[list[str]]:
     return [list(knot) for knot in sorted(knots)]
 
 
+@pytest.mark.quick
 def test_no_module_imports_itself_by_way_of_others() -> None:
     assert circles() == []
 
@@ -204,6 +206,7 @@ def folder_of(module: str) -> str:
     return module if folder.count(".") == 1 else folder
 
 
+@pytest.mark.quick
 def test_no_folder_imports_itself_by_way_of_others() -> None:
     """`kinegraph.operators` and `kinegraph.devices` offer everything by short names, and are left out."""
     arrows: dict[str, set[str]] = {}

@@ -19,6 +19,8 @@ from kinegraph.stream.operator import Case, Operator, grid
 from kinegraph.stream.params import param
 from tests.laws.broken_operators import Excused, Sound, all_broken
 
+pytestmark = pytest.mark.quick
+
 SEEDS = range(30)
 
 

@@ -8,6 +8,8 @@ from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.operator import grid
 
+pytestmark = pytest.mark.quick
+
 
 def run(operator, data, times, cuts, lost=None):
     spec = StreamSpec(data.shape[1:], rate_hz=30.0, channels=("a", "b"), units=("cm",))

@@ -16,6 +16,8 @@ from kinegraph.stream.operator import grid
 from tests.support.emg_run import treadmill
 from tests.support.one_stream import RATE, noise, run, same, signal_spec
 
+pytestmark = pytest.mark.quick
+
 # Rectify, Scale
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from kinegraph.devices.reports.session.contents.running import Choice, Running
+
+pytestmark = pytest.mark.quick
 
 
 def test_mean_and_deviation_leave_nan_out_element_by_element() -> None:

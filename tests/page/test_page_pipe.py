@@ -14,6 +14,8 @@ from kinegraph.devices.page.transfer.pipe import MOST_BUFFERS, ServerPipe
 from kinegraph.devices.page.transfer.wire import LENGTH, decode, encode
 from kinegraph.stream.chunk import Chunk, grid
 
+pytestmark = pytest.mark.quick
+
 
 @dataclass
 class PipeEnds:

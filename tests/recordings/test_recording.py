@@ -226,6 +226,8 @@ import sys, time
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 from tests.recordings.test_recording import record, session
+
+pytestmark = pytest.mark.quick
 made = session(seconds=5.0)
 recorder = record(Path(sys.argv[2]), made[:-100], wait=False, flush_s=0.03, gather_s=0.01, pause=0.04)
 while recorder.status.behind_s > 0 or recorder.status.bytes == 0:

@@ -16,6 +16,8 @@ from kinegraph.stream.chunk import NS
 from tests.replay.replaying import at, emg_envelope, events, signal
 from tests.support.real import real_arrays
 
+pytestmark = pytest.mark.quick
+
 WALK = real_arrays("emg/emg_santuz_tw12.npz")
 MUSCLES = [str(name) for name in WALK["names"]]
 DOWN, UP = WALK["touchdown_s"], WALK["liftoff_s"]

@@ -19,6 +19,8 @@ from kinegraph.stream.errors import InputError, ParameterError
 from tests.sleep.sleep_data import epochs_of, play, run, sleep_file, stamped
 from tests.support.real import needs_data
 
+pytestmark = pytest.mark.quick
+
 MINUTE = 60 * NS
 SETTINGS = {
     "Tudor-Locke Default": SleepPeriods(),

@@ -100,6 +100,7 @@ def out_with(kept: Common) -> Path:
     return out
 
 
+@pytest.mark.quick
 def test_a_grid_is_read_as_yaml_lists() -> None:
     assert read_grid(["smooth.cutoff_hz=4, 6,1e1", "x.place=[a, b]", "y.on=true"]) == {
         "smooth.cutoff_hz": [4, 6, 10.0],
