@@ -96,7 +96,7 @@ def joined(muscles: Series | None, acceleration: Series | None, weights: tuple[f
     given = dict(zip(BOTH, weights, strict=True))
     only = given if len(streams) == 2 else {BOTH[0] if muscles else BOTH[1]: 1.0}
     features = aligned(streams).through(part("scaled"), Weigh(weights=only), part("stack"))
-    segmentation = part("segment")
+    segmentation = part("repetitions.segment")
     assert isinstance(segmentation, Segment)
     with capture_logs():
         return events(features, segmentation)

@@ -28,6 +28,7 @@ from kinegraph.stream.chunk import NS, Array, StreamSpec
 from kinegraph.stream.graph import Graph
 from kinegraph.stream.graph.reading.load import load
 from kinegraph.stream.operator import Operator
+from kinegraph.stream.text.short_names import whole_name
 
 SHIPPED = "gyroscope (segment_imu, the graph's own nodes)"
 HOUSE = Path(__file__).resolve().parent.parent
@@ -52,7 +53,7 @@ def read(config: str) -> Graph:
 def shipped(config: str, source: str) -> list[tuple[str, Operator[Any]]]:
     """The operators of a shipped graph from this source to its segmentation, each with the port it is fed by: one after another."""
     graph = read(config)
-    name = "segment"
+    name = whole_name("segment", graph.nodes)
     chain: list[tuple[str, Operator[Any]]] = []
     while name != source:
         node = graph.nodes[name]

@@ -12,6 +12,7 @@ from kinegraph.devices.formats.exporter import Export, Exporter, chosen, exporte
 from kinegraph.stream.data.bounded import reading
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.text.safe_text import say
+from kinegraph.stream.text.short_names import whole_name
 
 if TYPE_CHECKING:
     from kinegraph.stream.chunk import StreamSpec
@@ -82,7 +83,7 @@ def export(
 
 def _fitting(recording: Recording, wanted: list[str], exporter: Exporter) -> list[str]:
     fit = []
-    for name in wanted or recording.streams:
+    for name in [whole_name(name, recording.streams) for name in wanted] or recording.streams:
         why = (exporter.takes or _no_table)(recording.stream(name).spec)
         if not why:
             fit.append(name)

@@ -11,6 +11,7 @@ import typer
 
 from kinegraph.stream.errors import KinegraphError, nearest
 from kinegraph.stream.text.safe_text import say
+from kinegraph.stream.text.short_names import whole_name
 
 if TYPE_CHECKING:
     from kinegraph.stream.chunk import Array, Samples, StreamSpec
@@ -142,6 +143,7 @@ def _zero(recording: Recording) -> int:
 def _features(recording: Recording, name: str) -> tuple[StreamSpec, Array, Samples]:
     import numpy as np
 
+    name = whole_name(name, recording.streams)
     if name not in recording.streams:
         known = nearest(name, recording.streams)
         raise KinegraphError(

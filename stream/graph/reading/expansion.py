@@ -387,30 +387,32 @@ class _Expansion:
 
     # ----------------------------------------------------------------------------------------------- record and page
 
-    def _record(self, scope: _Scope) -> dict[str, Located]:
-        """What the graph and its parts record."""
+    def _recorded(self, scope: _Scope) -> list[Located]:
+        """What a graph and its parts record; what several of them name stands there once."""
         own = scope.top.get("record")
         items = [] if own is None or own.value is None else own.value if isinstance(own.value, list) else [own]
         found = [edge for at in items if (edge := self._edge(scope, at, scope.name))]
-        known = {edge.value for edge in found if isinstance(edge.value, str)}
+        known = [edge.value for edge in found]
         for part in scope.parts.values():
-            for edge in self._record(part).get("record", Located([], 0)).value or []:
-                assert isinstance(edge, Located)
+            for edge in self._recorded(part):
                 found += [edge] if edge.value not in known else []
-                known.add(edge.value)  # type: ignore[arg-type]
-        return {"record": Located(found, own.line if own else 0)} if found else {}
+                known.append(edge.value)
+        return found
 
-    def _page(self, scope: _Scope) -> dict[str, Located]:
-        """The page of the graph; without panels of its own, those of its parts."""
+    def _record(self, scope: _Scope) -> dict[str, Located]:
+        found, own = self._recorded(scope), scope.top.get("record")
+        return {"record": Located(list(found), own.line if own else 0)} if found else {}
+
+    def _panels(self, scope: _Scope) -> list[Located]:
+        """The panels of a graph; without any of its own, those of its parts."""
         page = scope.top.get("page")
         own = page.items().get("panels") if page else None
-        found: list[Located] = []
-        if own is not None and isinstance(own.value, list):
-            found = [self._panel(scope, at) for at in own.value]
-        elif own is None:
-            for part in scope.parts.values():
-                made = self._page(part).get("page")
-                found += made.items()["panels"].value if made else []  # type: ignore[operator,arg-type]
+        if own is not None:
+            return [self._panel(scope, at) for at in own.value] if isinstance(own.value, list) else []
+        return [panel for part in scope.parts.values() for panel in self._panels(part)]
+
+    def _page(self, scope: _Scope) -> dict[str, Located]:
+        found, page = self._panels(scope), scope.top.get("page")
         if not found:
             return {}
         line = page.line if page else 0
