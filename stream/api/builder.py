@@ -16,9 +16,9 @@ from kinegraph.stream.errors import GraphError
 from kinegraph.stream.graph import Edge, Graph, Node, RecordingOptions
 from kinegraph.stream.graph.components import UseError, find
 from kinegraph.stream.graph.plan import plan
-from kinegraph.stream.graph.reading.expansion import is_part
 from kinegraph.stream.graph.reading.growing import grown
 from kinegraph.stream.graph.reading.load import Settings, load, load_text
+from kinegraph.stream.graph.reading.part_files import is_part
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.wiring import Wiring
 from kinegraph.stream.graph.reading.yaml_lines import locate, parse
@@ -119,15 +119,9 @@ class GraphBuilder:
         record    keep what comes out of it (its first output) in recordings and results; see `record`
         options   the engine's: queue, policy, worker, required, ... (docs/graphs.md); of a part, its settings
         """
-        of_file = isinstance(part, str | Path)
-        entry = {
-            "use": str(part) if isinstance(part, str | Path) else use_of(part),
-            **({} if reads is None else {"from": _written("reads", reads, name)}),
-            **({key: _written(key, value, name) for key, value in options.items()} if of_file else options),
-            **({} if isinstance(part, str | Path) else parameters_given(name, part)),
-        }
+        entry = _entry(name, part, reads, options)
         written = self._document["nodes"]
-        if of_file or self._has_parts:
+        if isinstance(part, str | Path) or _has_parts(written):
             if name in written:
                 raise GraphError("the graph already has a node of this name", node=name)
             self._check_with(nodes={**written, name: entry})
@@ -149,10 +143,6 @@ class GraphBuilder:
         entry = {**({"feeds": _written("feeds", feeds)} if feeds else {}), **facts}
         self._check_with(settings={**self._document.get("settings", {}), name: entry})
 
-    @property
-    def _has_parts(self) -> bool:
-        return any(is_part(entry["use"]) for entry in self._document["nodes"].values())
-
     def _check_with(self, **sections: Any) -> None:
         """Put these sections in place of those that are there, if the graph is right with them."""
         document = {**self._document, **sections}
@@ -163,7 +153,7 @@ class GraphBuilder:
 
     def record(self, *edges: str) -> None:
         """Name edges ("smooth", "active.interval") that are recorded, and kept in results."""
-        if self._has_parts:
+        if _has_parts(self._document["nodes"]):
             self._check_with(record=list(dict.fromkeys([*self._document["record"], *edges])))
             return
         problems = Problems("")
@@ -241,6 +231,23 @@ class GraphBuilder:
     def __repr__(self) -> str:
         rows = [f"  {name}: {type(part).__name__}" for name, part in self.nodes.items()]
         return "\n".join([f"Graph {self.name!r}", *rows])
+
+
+def _has_parts(nodes: Mapping[str, Any]) -> bool:
+    return any(is_part(entry["use"]) for entry in nodes.values())
+
+
+def _entry(
+    name: str,
+    part: Source | Operator[Any] | str | Path,
+    reads: str | Sequence[str] | Mapping[str, str] | None,
+    options: Mapping[str, Any],
+) -> dict[str, Any]:
+    """A node as a graph's file writes it."""
+    edges = {} if reads is None else {"from": _written("reads", reads, name)}
+    if isinstance(part, str | Path):
+        return {"use": str(part), **edges, **{key: _written(key, value, name) for key, value in options.items()}}
+    return {"use": use_of(part), **edges, **options, **parameters_given(name, part)}
 
 
 def use_of(part: object) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kinegraph.stream.graph import Node
-from kinegraph.stream.graph.reading.expansion import is_part
+from kinegraph.stream.graph.reading.part_files import is_part
 from kinegraph.stream.system.names import module_of
 
 SETTINGS = ("latency_budget_ms", "checkpoint_s", "session", "recording")

@@ -10,7 +10,7 @@ from kinegraph.stream.chunk import Specs, StreamSpec
 from kinegraph.stream.errors import blaming
 from kinegraph.stream.graph.backpressure import Policy
 from kinegraph.stream.graph.page_options import PageOptions
-from kinegraph.stream.graph.settings import Setting
+from kinegraph.stream.graph.settings import GraphSetting
 from kinegraph.stream.operator import Operator
 from kinegraph.stream.params import param
 from kinegraph.stream.source import Source
@@ -150,7 +150,7 @@ class Graph:
     page: PageOptions = field(default_factory=PageOptions)
     session: dict[str, Any] = field(default_factory=dict)
     """Free facts about the session that stand in its recording: subject code, speed, side, electrode sites."""
-    settings: dict[str, Setting] = field(default_factory=dict)
+    settings: dict[str, GraphSetting] = field(default_factory=dict)
     """What a person may set, in the graph and in its parts ("left.cutoff_hz")."""
 
     replays: str = ""

@@ -17,7 +17,7 @@ TYPES: Mapping[str, tuple[type, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class GraphSetting:
     """One thing that a person may set.
 
     label    how forms and help call it; default: its name

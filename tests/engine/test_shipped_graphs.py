@@ -6,8 +6,9 @@ import importlib.util
 from collections import defaultdict
 from pathlib import Path
 
-from kinegraph.stream.graph.reading.expansion import expand, is_part
+from kinegraph.stream.graph.reading.expansion import expand
 from kinegraph.stream.graph.reading.load import IMPLICIT
+from kinegraph.stream.graph.reading.part_files import is_part
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.settings_section import read_settings
 from kinegraph.stream.graph.reading.yaml_lines import parse

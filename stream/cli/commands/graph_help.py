@@ -12,7 +12,7 @@ from kinegraph.stream.graph.reading.overrides import value_at
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.settings_section import read_settings
 from kinegraph.stream.graph.reading.yaml_lines import Located
-from kinegraph.stream.graph.settings import Setting
+from kinegraph.stream.graph.settings import GraphSetting
 from kinegraph.stream.graph.shipped import resolve
 
 COMMANDS = ("run", "replay", "check", "draw")
@@ -37,9 +37,9 @@ def settings_help(command: str, arguments: Sequence[str]) -> str:
     return "\n".join([f"Settings of {named.stem} (--set NAME=VALUE):", *rows])
 
 
-def _outermost(settings: Mapping[str, Setting]) -> dict[str, Setting]:
+def _outermost(settings: Mapping[str, GraphSetting]) -> dict[str, GraphSetting]:
     """Without those of inner parts that feed what an outer setting feeds."""
-    shown: dict[str, Setting] = {}
+    shown: dict[str, GraphSetting] = {}
     fed: set[str] = set()
     for name, setting in settings.items():
         if not setting.targets or not fed.issuperset(setting.targets):
@@ -48,7 +48,7 @@ def _outermost(settings: Mapping[str, Setting]) -> dict[str, Setting]:
     return shown
 
 
-def _described(name: str, setting: Setting, top: Mapping[str, Located]) -> str:
+def _described(name: str, setting: GraphSetting, top: Mapping[str, Located]) -> str:
     """One setting for people: "Low-pass: smoother below (a number from 1 to 60 Hz; default 20)"."""
     words = ": ".join(filter(None, [setting.label if setting.label != name else "", setting.help]))
     value = _present(setting, top)
@@ -56,7 +56,7 @@ def _described(name: str, setting: Setting, top: Mapping[str, Located]) -> str:
     return f"{words} ({facts})" if words and facts else words or facts
 
 
-def _present(setting: Setting, top: Mapping[str, Located]) -> Any:
+def _present(setting: GraphSetting, top: Mapping[str, Located]) -> Any:
     """The value that the graph gives to the first parameter that a setting feeds."""
     for target in setting.targets:
         if (at := value_at(top, target)) is not None:

@@ -17,10 +17,11 @@ from kinegraph.stream.graph import Edge, Graph, RecordingOptions
 from kinegraph.stream.graph.components import Part, import_from, registered
 from kinegraph.stream.graph.page_options import PageOptions
 from kinegraph.stream.graph.reading.draft import Draft, build_from, read_node
-from kinegraph.stream.graph.reading.expansion import MOST_NODES, expand, plain_text
+from kinegraph.stream.graph.reading.expansion import expand, plain_text
 from kinegraph.stream.graph.reading.opening import open_nodes
 from kinegraph.stream.graph.reading.overrides import override, placed, rewrite
 from kinegraph.stream.graph.reading.page_section import read_page
+from kinegraph.stream.graph.reading.part_files import MOST_NODES
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.settings_section import read_settings
 from kinegraph.stream.graph.reading.wiring import Wiring

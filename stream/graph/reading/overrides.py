@@ -14,7 +14,7 @@ from kinegraph.stream.graph.components import find
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.settings_section import read_settings
 from kinegraph.stream.graph.reading.yaml_lines import Located, locate, parse
-from kinegraph.stream.graph.settings import Setting
+from kinegraph.stream.graph.settings import GraphSetting
 from kinegraph.stream.text.short_names import whole_name
 
 SECTIONS = ("session", "recording")
@@ -59,7 +59,7 @@ def placed(root: Located, overrides: Mapping[str, Any], known: Iterable[str]) ->
     return found
 
 
-def _setting(name: str, settings: Mapping[str, Setting], known: Iterable[str]) -> Setting | None:
+def _setting(name: str, settings: Mapping[str, GraphSetting], known: Iterable[str]) -> GraphSetting | None:
     """The setting of this name, or the one of a single part ("left.cutoff_hz") whose last word it is."""
     if name in settings or "." in name or name in known:
         return settings.get(name)

@@ -12,9 +12,9 @@ from kinegraph.stream.graph import NodeOptions, RecordingOptions
 from kinegraph.stream.graph.components import Part, kind_of
 from kinegraph.stream.graph.page_options import PANEL_KINDS, PageOptions, Panel
 from kinegraph.stream.graph.reading.draft import NODE_NAME, OPERATOR_OPTIONS, SOURCE_OPTIONS, parameters_of
-from kinegraph.stream.graph.reading.expansion import PartInput
 from kinegraph.stream.graph.reading.load import Settings
-from kinegraph.stream.graph.settings import Setting
+from kinegraph.stream.graph.reading.part_files import PartInput
+from kinegraph.stream.graph.settings import GraphSetting
 from kinegraph.stream.operator import Operator
 from kinegraph.stream.params import schema as parameters
 from kinegraph.stream.source import Source
@@ -111,7 +111,7 @@ def _part() -> Json:
 
 def _offered() -> Json:
     """The section `settings:`."""
-    one = _described(Setting)
+    one = _described(GraphSetting)
     one.update(additionalProperties=False, type=["object", "null"])
     return {"type": ["object", "null"], "description": "what a person may set", "additionalProperties": one}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
 
 from kinegraph.stream.graph import Graph
@@ -14,8 +15,9 @@ SUFFIXES = (".html", ".csv", "-curves.csv", "-remarks.csv", ".xlsx", ".mat")
 def page_of(given: str, graph: Graph | None, node: str) -> Path:
     """The page's file, absolute: as `given`; else NODE.html in the session's folder, RECORDING-NODE.html beside a recording of one file.
 
-    Without a recording, it is reports/GRAPH-NODE.html.
+    Without a recording, it is reports/GRAPH-NODE.html. A node that is called like its part ("report.report") stands for the part.
     """
+    node = ".".join(word for word, _ in groupby(node.split(".")))
     if given:
         return Path(given).absolute()
     recorded = Path(graph.recorded_in) if graph and graph.recorded_in else None
