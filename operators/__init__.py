@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from kinegraph.operators.body.extrema import Extrema
     from kinegraph.operators.body.marker_fusion import Surer
     from kinegraph.operators.body.markers import Markers
-    from kinegraph.operators.body.network.operator import PoseNetwork
+    from kinegraph.operators.body.network import PoseNetwork
     from kinegraph.operators.body.network.relief import Relief
     from kinegraph.operators.body.persons import Persons
     from kinegraph.operators.contacts.acceleration import AccelerationContacts
@@ -35,17 +35,17 @@ if TYPE_CHECKING:
     from kinegraph.operators.cycles.limb_cycles import LimbCycles
     from kinegraph.operators.cycles.review import CycleReview
     from kinegraph.operators.cycles.stages import Stages
+    from kinegraph.operators.cycles.statistics import CycleStatistics
     from kinegraph.operators.cycles.statistics.bursts import CycleBursts
     from kinegraph.operators.cycles.statistics.cycle_targets import CycleTargets
     from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
     from kinegraph.operators.cycles.statistics.median_frequency import MedianFrequency
     from kinegraph.operators.cycles.statistics.norms import NormativeBands
-    from kinegraph.operators.cycles.statistics.operator import CycleStatistics
     from kinegraph.operators.cycles.statistics.stage_curves import StageCurves
     from kinegraph.operators.cycles.statistics.symmetry import LimbSymmetry
     from kinegraph.operators.emg import Envelope
+    from kinegraph.operators.emg.mixtures import PeakMixtures
     from kinegraph.operators.emg.mixtures.drift import MixtureDrift
-    from kinegraph.operators.emg.mixtures.operator import PeakMixtures
     from kinegraph.operators.emg.normalise import Normalise
     from kinegraph.operators.emg.quality import SignalQuality
     from kinegraph.operators.features.bundle import Bundle
@@ -86,8 +86,8 @@ if TYPE_CHECKING:
     from kinegraph.operators.monitors.pattern_watch import PatternWatch
     from kinegraph.operators.monitors.timing_watch import TimingWatch
     from kinegraph.operators.neighbours import Neighbours
+    from kinegraph.operators.pose import WholePose
     from kinegraph.operators.pose.footing import Footing
-    from kinegraph.operators.pose.operator import WholePose
     from kinegraph.operators.segmentation import Segment
     from kinegraph.operators.segmentation.names.naming import NameRepetitions
     from kinegraph.operators.sleep.epochs import Epochs
@@ -96,8 +96,8 @@ if TYPE_CHECKING:
     from kinegraph.operators.sleep.periods import SleepPeriods
     from kinegraph.operators.sleep.scorer import SleepScorer
     from kinegraph.operators.sleep.statistics import SleepStatistics
+    from kinegraph.operators.steering import SteerMesh
     from kinegraph.operators.steering.actors import Actors
-    from kinegraph.operators.steering.operator import SteerMesh
     from kinegraph.operators.steps.activity import StepActivity
     from kinegraph.operators.steps.classifier import StepClassifier
     from kinegraph.operators.steps.steps import Steps
@@ -232,7 +232,7 @@ __getattr__, __dir__ = offered(
         "CycleBursts": "kinegraph.operators.cycles.statistics.bursts",
         "CycleEnsemble": "kinegraph.operators.cycles.statistics.ensemble",
         "CycleReview": "kinegraph.operators.cycles.review",
-        "CycleStatistics": "kinegraph.operators.cycles.statistics.operator",
+        "CycleStatistics": "kinegraph.operators.cycles.statistics",
         "CycleTargets": "kinegraph.operators.cycles.statistics.cycle_targets",
         "CycleWatch": "kinegraph.operators.monitors.cycle_watch",
         "Cycles": "kinegraph.operators.cycles.cycles",
@@ -281,11 +281,11 @@ __getattr__, __dir__ = offered(
         "OneEuro": "kinegraph.operators.filters.one_euro",
         "PatternWatch": "kinegraph.operators.monitors.pattern_watch",
         "Pause": "kinegraph.operators.timing.pause",
-        "PeakMixtures": "kinegraph.operators.emg.mixtures.operator",
+        "PeakMixtures": "kinegraph.operators.emg.mixtures",
         "Persons": "kinegraph.operators.body.persons",
         "Pose": "kinegraph.operators.features.pose",
         "PoseGrid": "kinegraph.operators.maps.pose_map.som",
-        "PoseNetwork": "kinegraph.operators.body.network.operator",
+        "PoseNetwork": "kinegraph.operators.body.network",
         "Predict": "kinegraph.operators.filters.predict",
         "Presence": "kinegraph.operators.bed.presence",
         "Rectify": "kinegraph.operators.filters.rectify",
@@ -308,7 +308,7 @@ __getattr__, __dir__ = offered(
         "StageCurves": "kinegraph.operators.cycles.statistics.stage_curves",
         "Stages": "kinegraph.operators.cycles.stages",
         "Standardise": "kinegraph.operators.features.standardise",
-        "SteerMesh": "kinegraph.operators.steering.operator",
+        "SteerMesh": "kinegraph.operators.steering",
         "StepActivity": "kinegraph.operators.steps.activity",
         "StepClassifier": "kinegraph.operators.steps.classifier",
         "Steps": "kinegraph.operators.steps.steps",
@@ -316,10 +316,10 @@ __getattr__, __dir__ = offered(
         "Surer": "kinegraph.operators.body.marker_fusion",
         "SwitchContacts": "kinegraph.operators.contacts.force",
         "Threshold": "kinegraph.operators.filters.threshold",
-        "TurnAxes": "kinegraph.operators.filters.turn_axes",
         "TimingWatch": "kinegraph.operators.monitors.timing_watch",
+        "TurnAxes": "kinegraph.operators.filters.turn_axes",
         "View": "kinegraph.operators.bed.frames.view",
         "Weigh": "kinegraph.operators.features.weigh",
-        "WholePose": "kinegraph.operators.pose.operator",
+        "WholePose": "kinegraph.operators.pose",
     },
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.system.names import module_of
 
 HOUSE = Path(__file__).resolve().parent.parent
 PACKAGES = ("operators", "devices")
@@ -13,6 +14,9 @@ TEMPLATE = """{docstring}
 from typing import TYPE_CHECKING
 
 from kinegraph.stream.system.lazy import offered
+
+if __name__ != "kinegraph.{package}":
+    raise ImportError("import kinegraph.{package}: this folder is a part of the package kinegraph")
 
 if TYPE_CHECKING:
 {imports}
@@ -33,13 +37,14 @@ __getattr__, __dir__ = offered(
 def text_of(package: str) -> str:
     """The __init__ file of a package as it should be: its docstring stays, every source, operator and outlet is offered."""
     docstring = (HOUSE / package / "__init__.py").read_text(encoding="utf-8").split("\n", 1)[0]
-    places = {use.rpartition(".")[2]: use.rpartition(".")[0] for use in catalogue((package,))[0]}
+    places = {use.rpartition(".")[2]: module_of(use.rpartition(".")[0]) for use in catalogue((package,))[0]}
     names = sorted(places)
     modules: dict[str, list[str]] = {}
     for name in names:
         modules.setdefault(places[name], []).append(name)
     return TEMPLATE.format(
         docstring=docstring,
+        package=package,
         imports="\n".join(f"    from {module} import {', '.join(modules[module])}" for module in sorted(modules)),
         names="\n".join(f'    "{name}",' for name in names),
         places="\n".join(f'        "{name}": "{places[name]}",' for name in names),
