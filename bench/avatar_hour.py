@@ -73,7 +73,7 @@ def watched(config: Path, folder: Path) -> list[float]:
     """Run the session to its end; its resident memory (MiB), workers included, twice a second."""
     words = ("run", str(config), "-o", str(folder), "--view", "lines", "--set", "vmc.port=39571")
     session = subprocess.Popen(
-        [sys.executable, "-m", "kinegraph.stream", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "kinegraph", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     held: list[float] = []
     while session.poll() is None:

@@ -80,7 +80,7 @@ def main(poses: int) -> None:
 
 def served(path: Path, poses: int) -> list[list[str]]:
     """`kinegraph map` of an index that is there, as a client sees it."""
-    command = [sys.executable, "-m", "kinegraph.stream", "map", str(path), "--page-at", ":0", "--no-token"]
+    command = [sys.executable, "-m", "kinegraph", "map", str(path), "--page-at", ":0", "--no-token"]
     began = time.perf_counter()
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr

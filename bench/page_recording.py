@@ -78,7 +78,7 @@ def looked(minutes: float, scrubs: int) -> Section:
 def begun(path: Path) -> float:
     """How long it takes from the command to the first picture at a headless client (s)."""
     began = time.monotonic()
-    command = [sys.executable, "-m", "kinegraph.stream", "view", str(path), "--page-at", ":0", "--no-token"]
+    command = [sys.executable, "-m", "kinegraph", "view", str(path), "--page-at", ":0", "--no-token"]
     with subprocess.Popen(command, cwd=HOUSE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stderr

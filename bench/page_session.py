@@ -117,7 +117,7 @@ def session(folder: Path, graph: str, *, page: bool) -> Iterator[tuple[subproces
     """A session, ended by Ctrl-C; its page's address."""
     (folder / "g.yaml").write_text(graph.replace("AGES", str(folder / "ages.json")))
     log = folder / "said.txt"
-    command = [sys.executable, "-m", "kinegraph.stream", "run", str(folder / "g.yaml"), "--no-record", "--view", "none"]
+    command = [sys.executable, "-m", "kinegraph", "run", str(folder / "g.yaml"), "--no-record", "--view", "none"]
     environment = {**os.environ, "PYTHONPATH": str(HOUSE)}
     with log.open("wb") as said, subprocess.Popen(
         [*command, *(["--page-at", ":0", "--no-token"] if page else [])],

@@ -22,7 +22,8 @@ def _through(made: Any) -> tuple[list[Series], Wishes]:
 
 
 def _of(module: str) -> Any:
-    return import_module(f"kinegraph.devices.formats.lab.{module}")
+    """A module of formats/lab/, or of another format's folder ("edf.reader")."""
+    return import_module(f"kinegraph.devices.formats.{module if '.' in module else f'lab.{module}'}")
 
 
 def _grammar(
@@ -48,12 +49,12 @@ def _grammar(
 
 
 def _is_edf(path: Path, head: bytes) -> bool:
-    return bool(_of("edf_read").knows(head))
+    return bool(_of("edf.reader").knows(head))
 
 
 def _edf(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
     def read(path: Path, asked: Any) -> Any:
-        made = _of("edf_read").read_edf(path, asked)
+        made = _of("edf.reader").read_edf(path, asked)
         _of("bids").correct_units(made, path)
         return made
 

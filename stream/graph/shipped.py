@@ -10,7 +10,8 @@ _ENDINGS = (".yaml", ".yml")
 
 def shipped_folder(package: Path = _PACKAGE) -> Path | None:
     """The folder of the shipped graphs; None if they were not installed."""
-    return package / "configs" if (package / "configs").is_dir() else None
+    folder = package / "configs"  # a link in a checkout
+    return folder.resolve() if folder.is_dir() else None
 
 
 def shipped() -> dict[str, Path]:

@@ -25,7 +25,7 @@ class Process:
 
     def __init__(self, host: str = "", **settings: Any) -> None:
         given = [f"{name}={value}" for name, value in settings.items()]
-        command = [sys.executable, "-m", "kinegraph.stream", "simulate", "lsl", *given, "--for", "60"]
+        command = [sys.executable, "-m", "kinegraph", "simulate", "lsl", *given, "--for", "60"]
         if host:
             command = [*ELSEWHERE, "sh", "-c", 'hostname "$0" && exec "$@"', host, *command]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

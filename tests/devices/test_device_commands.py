@@ -118,7 +118,7 @@ def test_a_simulated_device_needs_no_port() -> None:
 
 def kinegraph(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "kinegraph.stream", *arguments],
+        [sys.executable, "-m", "kinegraph", *arguments],
         capture_output=True, text=True, timeout=120, stdin=subprocess.DEVNULL, env={**os.environ, "COLUMNS": "160"},
     )  # fmt: skip
 

@@ -189,7 +189,7 @@ def test_simulators_are_found_by_name() -> None:
 
 def kinegraph(*arguments: str, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "kinegraph.stream", *arguments],
+        [sys.executable, "-m", "kinegraph", *arguments],
         capture_output=True,
         text=True,
         timeout=timeout_s,
@@ -199,7 +199,7 @@ def kinegraph(*arguments: str, timeout_s: float = 120.0) -> subprocess.Completed
 
 
 def test_the_command_prints_an_address_that_can_be_opened() -> None:
-    command = [sys.executable, "-m", "kinegraph.stream", "simulate", "cyton", "daisy=true", "lose=0.1", "seed=2"]
+    command = [sys.executable, "-m", "kinegraph", "simulate", "cyton", "daisy=true", "lose=0.1", "seed=2"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout
         address = process.stdout.readline().strip()

@@ -177,7 +177,7 @@ def written() -> set[str]:
 
 def test_a_first_session_compiles_nothing_while_it_runs(tmp_path: Path) -> None:
     (tmp_path / "g.yaml").write_text(GRAPH.replace("realtime: false", "duration_s: 1.5"))
-    command = [sys.executable, "-m", "kinegraph.stream", "run", "g.yaml", "--no-record", "--view", "lines"]
+    command = [sys.executable, "-m", "kinegraph", "run", "g.yaml", "--no-record", "--view", "lines"]
     environment = {**os.environ, "KINEGRAPH_CACHE": str(tmp_path / "cache")}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "compiled while running" not in done.stderr, done.stderr

@@ -435,7 +435,7 @@ def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
     assert not graph.exists()
     folder = tmp_path / "s"
     process = subprocess.Popen(
-        [sys.executable, "-m", "kinegraph.stream", "run", str(config), "-o", str(folder), "--view", "none"],
+        [sys.executable, "-m", "kinegraph", "run", str(config), "-o", str(folder), "--view", "none"],
         stdin=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -461,7 +461,7 @@ def test_a_session_whose_log_nobody_reads_any_more_ends_all_the_same(sent: str, 
     config, folder = tmp_path / "graph.yaml", tmp_path / "s"
     config.write_text("nodes:\n  board: {use: devices.people.treadmill.Treadmill}\n")
     process = subprocess.Popen(
-        [sys.executable, "-m", "kinegraph.stream", "run", str(config), "-o", str(folder), "--view", "none"],
+        [sys.executable, "-m", "kinegraph", "run", str(config), "-o", str(folder), "--view", "none"],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     try:

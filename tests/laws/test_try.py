@@ -42,7 +42,7 @@ class Gain(Operator[None]):
 
 def attempt(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "kinegraph.stream", "try", *arguments],
+        [sys.executable, "-m", "kinegraph", "try", *arguments],
         cwd=folder,
         capture_output=True,
         text=True,

@@ -126,7 +126,7 @@ def _end(path: Path) -> str:
 
 def _replay(watched: Watched, *, verify: bool) -> int:
     """The exit code of a replay; held against the live results, unless the full disk took samples from the recording."""
-    call = [sys.executable, "-m", "kinegraph.stream", "replay", str(watched.graph), str(watched.session), "-q"]
+    call = [sys.executable, "-m", "kinegraph", "replay", str(watched.graph), str(watched.session), "-q"]
     settings = [word for one in (*watched.use.live, *watched.options) for word in ("--set", one)]
     with (watched.folder / "replay.txt").open("wb") as log:
         return subprocess.run(
