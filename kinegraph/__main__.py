@@ -1,4 +1,4 @@
-"""`python -m stream` is `kinegraph`."""
+"""`python -m kinegraph` is `kinegraph`."""
 
 from kinegraph.stream.cli.main import main
 

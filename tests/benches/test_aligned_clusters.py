@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from bench.aligned_clusters import align_back, aligned_clusters
 from kinegraph.stream.chunk import Samples
+
+pytestmark = pytest.mark.nightly
 
 
 def alignment(k: Samples) -> float:

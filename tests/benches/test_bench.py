@@ -23,6 +23,7 @@ def run(*arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.nightly
 def test_all_measures_run() -> None:
     """All but `serial` and `lsl`, which take a while however small; the first one's parts are tested in test_bench_devices.py."""
     measures = [name for name in MEASURES if name not in ("serial", "lsl")]
@@ -35,6 +36,7 @@ def test_all_measures_run() -> None:
     assert "| different answers over 3 chunk sizes | 1 " in text
 
 
+@pytest.mark.nightly
 def test_stalls_run() -> None:
     order = {"freeze": False, "first": 700, "switch_ms": 5, "nogil": True, "beside": "busy", "seconds": 0.2}
     due = json.loads(run("bench.stalls", "--one", json.dumps(order)).splitlines()[-1])

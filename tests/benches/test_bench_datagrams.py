@@ -6,6 +6,8 @@ import pytest
 
 from bench import datagrams
 
+pytestmark = pytest.mark.nightly
+
 
 def test_frames_are_measured_from_bytes_to_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("bleak")

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from bench import sources
+
+pytestmark = pytest.mark.nightly
 
 
 def test_a_cyton_is_measured_from_its_packets() -> None:

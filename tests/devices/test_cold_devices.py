@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.nightly
+
 HERE = Path(__file__).parent
 OWN = {
     "belt": "devices.polar.Polar, device: Polar H10, acceleration_hz: 50",

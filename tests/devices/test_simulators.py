@@ -85,6 +85,7 @@ class Steady(CytonModel):
         return np.zeros(8)
 
 
+@pytest.mark.nightly
 def test_pulled_out_a_hundred_times_in_mid_packet_nothing_leaks() -> None:
     """In a process of its own: threads, handles and memory of other tests come and go as they like."""
     process = get_context("spawn").Process(target=pull_out_a_hundred_times)

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from kinegraph.devices.lines.indexed_simulator import Indexed, IndexedBrain
 from kinegraph.devices.simulation.cable import line_at
@@ -50,6 +51,7 @@ def lateness_s(recording: Recording, name: str, made: Samples, of: Indexed) -> f
     return float(max(late[quarter == q].min() for q in np.unique(quarter)))
 
 
+@pytest.mark.nightly
 def test_every_stamp_is_true_or_in_a_marked_gap_and_info_says_so(tmp_path: Path, kinegraph: Command) -> None:
     brains = {"board": Timed(BOARD), "leg": Timed(LEG)}
     with (

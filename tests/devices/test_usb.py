@@ -193,6 +193,7 @@ def test_unplugged_while_waiting(own_bus: SimulatedBus) -> None:
             pipe.write(b"x")
 
 
+@pytest.mark.nightly
 def test_pulled_out_a_hundred_times_in_mid_packet_nothing_leaks(own_bus: SimulatedBus) -> None:
     """An MTi on bulk endpoints: the source raises, lets go of everything and can be opened again."""
 

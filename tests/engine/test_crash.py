@@ -216,6 +216,7 @@ nodes:
 
 
 @pytest.mark.parametrize("checkpoint_s", [0.3, 60])
+@pytest.mark.nightly
 def test_killed_while_a_lane_drops(checkpoint_s: float, config: Path, tmp_path: Path) -> None:
     """What a queue drops after the session was resumed stands in the log by its place in all that ever came."""
     config.write_text(DROPPING.replace("CHECKPOINT", str(checkpoint_s)))

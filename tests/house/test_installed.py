@@ -96,6 +96,11 @@ def undeclared() -> set[str]:
     return {module for module, names in there if not {canonicalize_name(name) for name in names} & found}
 
 
+def graphs_listed(lines: list[str]) -> set[str]:
+    """The graphs that `kinegraph configs` lists, without their parts."""
+    return {line.split()[0] for line in lines if not line.startswith("parts/")}
+
+
 @pytest.mark.timeout(250)
 def test_the_readme_works_from_a_wheel(site: Path, tmp_path: Path) -> None:
     for name in ("stream", "devices", "operators", "configs"):  # somebody's own, which nothing of ours is taken for
@@ -103,7 +108,7 @@ def test_the_readme_works_from_a_wheel(site: Path, tmp_path: Path) -> None:
     inside = run(site / "python", "-c", "import kinegraph.stream as s; print(s.__file__)", cwd=tmp_path).strip()
     assert Path(inside).is_relative_to(site.parent)
     listed = run(site / "kinegraph", "configs", cwd=tmp_path)
-    assert {name for line in listed.splitlines() if not (name := line.split()[0]).startswith("parts/")} == NAMES
+    assert graphs_listed(listed.splitlines()) == NAMES
     assert "treadmill" in run(site / "kinegraph", "check", "treadmill_emg", cwd=tmp_path)
     run(site / "kinegraph", "configs", "treadmill_emg", "witmotion.yaml", "-o", "mine", cwd=tmp_path)
     for name in ("treadmill_emg", "witmotion"):
@@ -156,7 +161,7 @@ def test_the_sdist_gives_the_same_wheel(site: Path, tmp_path: Path) -> None:
     code = "import sys; sys.path.insert(0, 'there'); from kinegraph.stream.cli import main; print(main.__file__); main.main()"
     told = run(site / "python", "-c", code, "configs", cwd=tmp_path).splitlines()
     assert Path(told[0]).is_relative_to(tmp_path / "there")
-    assert {name for line in told[1:] if not (name := line.split()[0]).startswith("parts/")} == NAMES
+    assert graphs_listed(told[1:]) == NAMES
 
 
 EVERY_HELP = """
@@ -333,6 +338,7 @@ def test_a_newer_python_compiles_the_source(newer: str) -> None:
 
 @pytest.mark.timeout(280)
 @pytest.mark.parametrize("newer", NEWER)
+@pytest.mark.nightly
 def test_a_newer_python_has_wheels_of_every_dependency(newer: str, tmp_path: Path) -> None:
     asked = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
     command = [
