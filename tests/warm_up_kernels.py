@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import gc
-import importlib
 import sys
-from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
 from kinegraph.stream.engine.warmup import _run_cases
+from kinegraph.stream.graph.components import find
 from kinegraph.stream.operator import Operator
 
 
 def main(use: str) -> None:
-    module, name = use.rsplit(".", 1)
-    part: type[Operator[Any]] = getattr(importlib.import_module(module), name)
+    part = find(use)
+    assert issubclass(part, Operator)
     _run_cases(part)
     before = compiled()
     part.warm_up_cases = part.cases  # type: ignore[method-assign]

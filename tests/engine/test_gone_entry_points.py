@@ -62,9 +62,9 @@ def test_a_gone_kind_of_training_or_evaluation_does_not_take_the_others_along(
 ) -> None:
     import sys
 
-    import kinegraph.operators.commands
+    from kinegraph.operators import commands
 
-    for place, name in ((sys.modules, f"operators.commands.{group}"), (vars(kinegraph.operators.commands), group)):
+    for place, name in ((sys.modules, f"kinegraph.operators.commands.{group}"), (vars(commands), group)):
         monkeypatch.delitem(place, name, raising=False)
     code, out, told = kinegraph(group, "--help")
     assert code == 0 and f"the {kind} weights (" in told and "cannot be loaded" in told

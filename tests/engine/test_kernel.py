@@ -223,7 +223,7 @@ def test_which_constant_and_which_function_a_name_stands_for_counts(tmp_path: Pa
     assert run(tmp_path, "one_gain", cache)[0] == 7.0
     write(tmp_path / "one_gain.py", BESIDE.format(more="", a=1.0, b=2.0, c=1))
     assert run(tmp_path, "one_gain", cache)[0] == 5.0
-    named = "from math import {} as f\nfrom stream.kernel import kernel\n\n@kernel\ndef outer(x):\n    return f(x)\n"
+    named = "from math import {} as f\nfrom kinegraph.stream.kernel import kernel\n\n@kernel\ndef outer(x):\n    return f(x)\n"
     write(tmp_path / "library_gain.py", named.format("floor"))
     assert run(tmp_path, "library_gain", cache)[0] == 3.0
     write(tmp_path / "library_gain.py", named.format("sqrt"))

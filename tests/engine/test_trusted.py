@@ -189,7 +189,7 @@ def test_whatever_code_beside_a_graph_imports_is_nobody_elses(shared: str, tmp_p
     folder = tmp_path / "graph"
     (folder / "package").mkdir(parents=True, mode=0o755)
     (folder / "mine.py").write_text(
-        "from dataclasses import dataclass\nimport helper\nimport package.part\nfrom operators.filters.rectify import Rectify\n"
+        "from dataclasses import dataclass\nimport helper\nimport package.part\nfrom kinegraph.operators.filters.rectify import Rectify\n"
         "@dataclass(frozen=True, slots=True)\nclass Mine(Rectify):\n"
         "    def open(self, specs):\n        import late\n        return Rectify.open(self, specs)\n"
     )

@@ -206,7 +206,7 @@ nodes:
 def test_a_registered_package_brings_its_panels_to_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = f"gait_lab_of_{abs(hash(tmp_path))}"
     (tmp_path / f"{package}.py").write_text(
-        "from dataclasses import dataclass\nfrom operators.filters.rectify import Rectify\n"
+        "from dataclasses import dataclass\nfrom kinegraph.operators.filters.rectify import Rectify\n"
         "@dataclass(frozen=True)\nclass Dial(Rectify):\n    panels = {'dial': 'dial.js'}\n"
     )
     (tmp_path / "dial.js").write_text("export default () => ({ draw() {} });")

@@ -21,7 +21,7 @@ PROGRAM = """
 import sys
 import atheris
 import kinegraph.devices.mti.xbus_numbers  # kernels: what is compiled cannot be watched
-with atheris.instrument_imports(include=["devices.protocols"]):
+with atheris.instrument_imports(include=["kinegraph.devices"]):
     from kinegraph.devices.protocols import {module}
 from kinegraph.devices.frames.declared import Field, Frame
 from kinegraph.devices.frames.layout import FrameLayout

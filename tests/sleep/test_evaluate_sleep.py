@@ -270,7 +270,8 @@ def test_the_report_lists_nights_that_are_left_out(tmp_path: Path, monkeypatch: 
     )
     reported: list[tuple[str, str]] = []
     monkeypatch.setattr(
-        "operators.sleep.evaluation.report.write_report", lambda found, folder: reported.extend(found.left_out) or []
+        "kinegraph.operators.sleep.evaluation.report.write_report",
+        lambda found, folder: reported.extend(found.left_out) or [],
     )
     command._report([], [], {}, table, tmp_path)
     assert reported == [("c.csv", "camera fell down"), ("", "no recording")]

@@ -187,7 +187,7 @@ def test_what_has_not_changed_is_kept(folder: Path) -> None:
 
 
 def test_a_model_that_changed_is_noticed(folder: Path) -> None:
-    own = "from dataclasses import dataclass\nfrom pathlib import Path\nfrom operators.filters.rectify import Rectify\n\n\n"
+    own = "from dataclasses import dataclass\nfrom pathlib import Path\nfrom kinegraph.operators.filters.rectify import Rectify\n\n\n"
     own += "@dataclass(frozen=True)\nclass Modelled(Rectify):\n    model: str = 'model.npz'\n"
     Path("modelled_part.py").write_text(own)
     Path("model.npz").write_bytes(b"1")

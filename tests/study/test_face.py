@@ -83,7 +83,7 @@ def test_a_package_offers_all_its_parts_by_short_names(package: str) -> None:
 
 
 def test_short_names_import_nothing_before_they_are_asked_for() -> None:
-    code = "import sys, kinegraph, operators, devices; print([m for m in ('numba', 'scipy', 'pandas', 'pydantic') if m in sys.modules])"
+    code = "import sys, kinegraph.operators, kinegraph.devices; print([m for m in ('numba', 'scipy', 'pandas', 'pydantic') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
