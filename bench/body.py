@@ -1,6 +1,6 @@
 """`python -m bench.body`: how far the markers of operators.body are from the truth on rendered bodies; Markdown.
 
-Needs the folder that KINEGRAPH_DATA names, and the network (`kinegraph fetch pose-model`). 13 markers of every frame count: head,
+Needs the folder that KINEGRAPH_DATA names, and the network (`kinegraph files fetch pose-model`). 13 markers of every frame count: head,
 shoulders, elbows, wrists, hips, knees, ankles; those that are flagged too. `--depth`: the relief of the depth instead of the infrared
 image. `--geodesic`: no network either, operators.body.extrema. `--every N`: every N-th frame.
 """

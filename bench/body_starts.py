@@ -1,10 +1,10 @@
 """`python -m bench.body_starts`: for how long left and right of rendered bodies are exchanged, whichever frame is the first; Markdown.
 
-Needs the folder that KINEGRAPH_DATA names, and the network (`kinegraph fetch pose-model`). Clips of random parts of the motion sequences,
-on both meshes, at headings all round, are rendered and looked at by the network once; the markers are made from every tenth frame on, as if
-the person had stepped into view there. A flip is a frame in which exchanging left and right would be nearer to the truth by 5 cm; it is
-given out where at least a quarter of the 12 markers of limbs are not flagged. `--clips N`: how many; `--seed N`: others; `--depth`: the
-relief of the depth instead of the infrared image.
+Needs the folder that KINEGRAPH_DATA names, and the network (`kinegraph files fetch pose-model`). Clips of random parts of the motion
+sequences, on both meshes, at headings all round, are rendered and looked at by the network once; the markers are made from every tenth
+frame on, as if the person had stepped into view there. A flip is a frame in which exchanging left and right would be nearer to the truth by
+5 cm; it is given out where at least a quarter of the 12 markers of limbs are not flagged. `--clips N`: how many; `--seed N`: others;
+`--depth`: the relief of the depth instead of the infrared image.
 """
 
 from __future__ import annotations

@@ -345,7 +345,7 @@ def acquisition(rounds: int, seconds: float) -> Section:
 
 @contextmanager
 def _board() -> Iterator[str]:
-    command = [sys.executable, "-m", "kinegraph", "simulate", "cyton"]
+    command = [sys.executable, "-m", "kinegraph", "dev", "simulate", "cyton"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=HOUSE) as process:
         assert process.stdout
         try:

@@ -79,8 +79,8 @@ def main(poses: int) -> None:
 
 
 def served(path: Path, poses: int) -> list[list[str]]:
-    """`kinegraph map` of an index that is there, as a client sees it."""
-    command = [sys.executable, "-m", "kinegraph", "map", str(path), "--page-at", ":0", "--no-token"]
+    """`kinegraph motion map` of an index that is there, as a client sees it."""
+    command = [sys.executable, "-m", "kinegraph", "motion", "map", str(path), "--page-at", ":0", "--no-token"]
     began = time.perf_counter()
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr

@@ -119,7 +119,7 @@ def whole_source(seconds: float) -> Section:
 
 @contextmanager
 def _in_a_process() -> Iterator[str]:
-    command = [sys.executable, "-m", "kinegraph", "simulate", "mti"]
+    command = [sys.executable, "-m", "kinegraph", "dev", "simulate", "mti"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout
         try:

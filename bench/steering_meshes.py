@@ -1,4 +1,4 @@
-"""`python -m bench.steering_meshes DATA [MESH]`: what `train steering` chooses, beside three baselines, on every mesh.
+"""`python -m bench.steering_meshes DATA [MESH]`: what `motion train steering` chooses, beside three baselines, on every mesh.
 
 DATA holds steering/horse-gallop.npz, steering/samba.npz, body/human_*.npz and body/cmu_mocap_30hz.npz. Humans are skinned meshes that
 motion capture moves (60 frames, every third of six seconds), the quadruped is the simulated one. Errors are of the frames that were not

@@ -32,9 +32,9 @@ def _train_pose() -> Iterator[str]:
     from tests.avatar.test_whole_pose import POSES, RATE, TREE, N
 
     write_recording(Path("walk.mcap"), [Series("walk", TREE.spec(RATE), grid(RATE, N), POSES)], {})
-    yield "train pose walk.mcap -o walk.npz --centres 50"
+    yield "motion train pose walk.mcap -o walk.npz --centres 50"
     acclaim(Path())
-    yield "import 9.asf 9_01.amc --rate 9_01=30 -o acclaim.mcap"
+    yield "files import 9.asf 9_01.amc --rate 9_01=30 -o acclaim.mcap"
 
 
 def _train_steering() -> Iterator[str]:
@@ -44,8 +44,8 @@ def _train_steering() -> Iterator[str]:
     write_recording(Path("mesh.mcap"), [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\n"
     Path("m.yaml").write_text(f"{text}reference: [{', '.join(REFERENCE)}]\nheading: [croup, withers]\n")
-    yield "train steering mesh.mcap --markers m.yaml --parts 6 -o chosen.npz"
-    yield "train steering mesh.mcap --markers m.yaml --parts 6 -o straight.npz --pose directions --method straight"
+    yield "motion train steering mesh.mcap --markers m.yaml --parts 6 -o chosen.npz"
+    yield "motion train steering mesh.mcap --markers m.yaml --parts 6 -o straight.npz --pose directions --method straight"
 
 
 def _train_graph() -> Iterator[str]:
@@ -64,7 +64,7 @@ def _train_graph() -> Iterator[str]:
         cut["onset"], cut["end"], cut["cluster"] = time_[::CYCLE], time_[CYCLE - 1 :: CYCLE], cluster
         primitive = Series("segment.primitive", StreamSpec((), PRIMITIVE), cut["end"].copy(), cut)
         write_recording(Path(f"{name}.mcap"), [Series("pose", TREE.spec(RATE), time_, poses), primitive], {})
-    yield "train graph walk.mcap curve.mcap wave.mcap -o all.npz --within-cm 6 --call walk=0-5"
+    yield "motion train graph walk.mcap curve.mcap wave.mcap -o all.npz --within-cm 6 --call walk=0-5"
 
 
 def _train_map() -> Iterator[str]:
@@ -75,7 +75,7 @@ def _train_map() -> Iterator[str]:
     data = 1000 * horse("trot", 4, seed=2, lame=0.5)[::2]
     record(Path("lame.mcap"), data[:, [0, 1, 3, 4, 5, 6]], 30.0, ("T6", "sacrum", *NAMES[3:]), "mm", gait="trot")
     Path("m.yaml").write_text(YAML)
-    yield "train map walk.mcap trot.mcap lame.mcap --markers m.yaml -o all.npz --rows 5"
+    yield "motion train map walk.mcap trot.mcap lame.mcap --markers m.yaml -o all.npz --rows 5"
 
 
 def _emg_sessions() -> Iterator[str]:
@@ -85,8 +85,8 @@ def _emg_sessions() -> Iterator[str]:
         {"a": (10.0, 40.0, 99.0), "b": (10.0, 41.0, 99.0), "c": (10.0, 48.0, 95.0)}.items()
     ):
         session(Path(f"{name}.mcap"), bursts(20, centres=centres, seed=k))
-    yield "compare a.mcap b.mcap c.mcap -o compared"
-    yield "train emg-model a.mcap b.mcap -o model.npz"
+    yield "emg compare a.mcap b.mcap c.mcap -o compared"
+    yield "emg train-model a.mcap b.mcap -o model.npz"
 
 
 def _evaluate_sleep() -> Iterator[str]:
@@ -101,7 +101,7 @@ def _evaluate_sleep() -> Iterator[str]:
         write_csv(Path(f"told{k}.csv"), told.tolist())
         lines.append(f"told{k}.csv,psg{k}.csv,P{k // 2}")
     Path("nights.csv").write_text("\n".join(lines) + "\n")
-    yield "evaluate sleep --nights nights.csv -o all"
+    yield "sleep evaluate --nights nights.csv -o all"
 
 
 def _evaluate_segmentation() -> Iterator[str]:
@@ -114,7 +114,7 @@ def _evaluate_segmentation() -> Iterator[str]:
     Path("all.csv").write_text(
         "result,truth,offset_s\nwalk.mcap,walk.csv,0\nwalk.mcap,late.csv,0.2\nother.csv,late.csv,\n"
     )
-    yield "evaluate segmentation --table all.csv -o all"
+    yield "motion evaluate --table all.csv -o all"
 
 
 def _sessions() -> Iterator[str]:
@@ -122,11 +122,11 @@ def _sessions() -> Iterator[str]:
     pulses = np.cumsum(0.5 + rng.random(40))
     for name, times in (("a", pulses), ("b", (np.delete(pulses, [7, 21]) - 7.5) / (1 + 40e-6))):
         Path(f"{name}.csv").write_text("sync_s\n" + "".join(f"{t:.6f}\n" for t in times if t > 0))
-        yield f"import {name}.csv -o {name}.mcap --events box.sync=sync_s --fact subject=S0{name} --fact speed_m_s=1.2"
+        yield f"files import {name}.csv -o {name}.mcap --events box.sync=sync_s --fact subject=S0{name} --fact speed_m_s=1.2"
     Path("broken.mcap").write_bytes(b"no recording")
-    yield "sessions . -o index.csv"
-    yield "sessions . --subject S0a"
-    yield "pulses a.mcap b.mcap --stream box.sync"
+    yield "emg sessions . -o index.csv"
+    yield "emg sessions . --subject S0a"
+    yield "files compare-clocks a.mcap b.mcap --stream box.sync"
 
 
 def _electrodes() -> Iterator[str]:
@@ -135,10 +135,10 @@ def _electrodes() -> Iterator[str]:
     faults = "[{kind: hum, muscle: SO}, {kind: weak, muscle: TA}]"
     board = f"use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 16, faults: {faults}"
     Path("bad.yaml").write_text(f"nodes:\n  board: {{{board}}}\n")
-    yield "check-electrodes bad.yaml"
+    yield "emg check-electrodes bad.yaml"
     recorded(Path("walk.mcap"), {"treadmill.emg": emg()})
-    yield "calibrate mvc walk.mcap -o mvc.json"
-    yield "calibrate rest walk.mcap -o rest.json"
+    yield "emg calibrate mvc walk.mcap -o mvc.json"
+    yield "emg calibrate rest walk.mcap -o rest.json"
 
 
 def _nights() -> Iterator[str]:
@@ -162,20 +162,20 @@ def _nights() -> Iterator[str]:
             ]
         )
     )
-    yield "evaluate sleep n.mcap psg.csv -o night"
+    yield "sleep evaluate n.mcap psg.csv -o night"
 
 
 def _teach() -> Iterator[str]:
     from tests.motion.test_evaluate_segmentation import recording
 
     recording(Path("walk.mcap"))
-    yield "teach walk.mcap walk=0-5.1 run=5.4-9.97 -o two.npz"
-    yield "teach walk.mcap walk=0-3.4 walk=5-9.97 -o one.npz"
+    yield "motion label walk.mcap walk=0-5.1 run=5.4-9.97 -o two.npz"
+    yield "motion label walk.mcap walk=0-3.4 walk=5-9.97 -o one.npz"
     for wrong in ("walk=5-4", "walk=20-30", "walk", "=0-5", "walk=0-5 run=4-8"):
-        yield f"teach walk.mcap {wrong} -o wrong.npz"
-    yield "teach walk.mcap walk=0-5 -o two.npz"
-    yield "teach walk.mcap -o said.npz"
-    yield "teach walk.mcap walk=0-5 -o other.npz --features nothing"
+        yield f"motion label walk.mcap {wrong} -o wrong.npz"
+    yield "motion label walk.mcap walk=0-5 -o two.npz"
+    yield "motion label walk.mcap -o said.npz"
+    yield "motion label walk.mcap walk=0-5 -o other.npz --features nothing"
 
 
 def _laboratory() -> None:

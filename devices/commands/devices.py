@@ -47,7 +47,7 @@ def devices(
     if not found:
         say(f"nothing is connected (looked for: {', '.join(chosen) or 'nothing'})")
     say(
-        "without a device: kinegraph simulate lists the simulated ones; kinegraph run CONFIG --simulate",
+        "without a device: kinegraph dev simulate lists the simulated ones; kinegraph run CONFIG --simulate",
         err=True,
     )
 

@@ -1,4 +1,4 @@
-"""`kinegraph export`: a recording's streams as CSV tables, as one XDF file, as motion (BVH, glTF), or in another package's format."""
+"""`kinegraph files export`: a recording's streams as CSV tables, as one XDF file, as motion (BVH, glTF), or in another package's format."""
 
 from __future__ import annotations
 

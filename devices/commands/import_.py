@@ -1,4 +1,4 @@
-"""`kinegraph import`: files of other programs as a recording that replays as if it had been live."""
+"""`kinegraph files import`: files of other programs as a recording that replays as if it had been live."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def import_(
 
     With --preview it only shows what would be read.
 
-    kinegraph import emg.csv -o emg.mcap --stream board.emg=TA,GM --time time --unit uV
+    kinegraph files import emg.csv -o emg.mcap --stream board.emg=TA,GM --time time --unit uV
     """
     from kinegraph.stream.cli.commands import logs
 

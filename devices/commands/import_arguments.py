@@ -1,4 +1,4 @@
-"""The arguments and options of `kinegraph import`; what is said of streams is read by `devices.commands.import_options`."""
+"""The arguments and options of `kinegraph files import`; what is said of streams is read by `devices.commands.import_options`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said to `kinegraph import` about streams, as its options write it: NAME=VALUE, or VALUE for every stream."""
+"""What is said to `kinegraph files import` about streams, as its options write it: NAME=VALUE, or VALUE for every stream."""
 
 from __future__ import annotations
 

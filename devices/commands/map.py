@@ -1,4 +1,4 @@
-"""`kinegraph map`: recordings of motion in a browser, on a map of all their poses."""
+"""`kinegraph motion map`: recordings of motion in a browser, on a map of all their poses."""
 
 from __future__ import annotations
 
@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 def map_(
     recordings: Annotated[
         list[Path],
-        typer.Argument(help="recordings of markers or poses, or one map of `kinegraph train map`", metavar="RECORDING"),
+        typer.Argument(
+            help="recordings of markers or poses, or one map of `kinegraph motion train map`", metavar="RECORDING"
+        ),
     ],
     markers: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="YAML: which markers, as for `train map`")
+        Path | None, typer.Option(metavar="FILE", help="YAML: which markers, as for `motion train map`")
     ] = None,
     origin: Annotated[str, typer.Option(help="without --markers: the marker that positions are relative to")] = "",
     ahead: Annotated[str, typer.Option(help="without --markers: the marker that is turned ahead")] = "",
@@ -41,10 +43,10 @@ def map_(
 
     It shows which poses there are, how sequences run through them, and what resembles what (thesis, chapter 5).
 
-    kinegraph map horses/*.mcap --markers horse.yaml
+    kinegraph motion map horses/*.mcap --markers horse.yaml
 
-    The map is trained once and kept; it is trained again when a recording or the table has changed. A map that `kinegraph train map` has
-    made can be given in the recordings' place.
+    The map is trained once and kept; it is trained again when a recording or the table has changed. A map that `kinegraph motion train map`
+    has made can be given in the recordings' place.
     """
     from kinegraph.devices.page.address import parsed
     from kinegraph.devices.page.map.hub import MapHub
@@ -82,7 +84,7 @@ def trained(recordings: list[Path], options: dict[str, Any]) -> Path:
     kept = folder / f"{hashlib.sha256(chr(10).join(told).encode()).hexdigest()[:24]}.npz"
     if kept.exists():
         return kept
-    for training in entry_points(group="kinegraph.trainings", name="map"):
+    for training in entry_points(group="kinegraph.commands", name="motion.train.map"):
         training.load()(
             recordings=recordings, output=kept, rows=12, columns=12, seed=0, overwrite=False, **options,
         )  # fmt: skip

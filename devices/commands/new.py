@@ -1,4 +1,4 @@
-"""`kinegraph new`: a declaration for what comes from a port, a first graph for a recording, or the skeleton of an operator or a device."""
+"""`kinegraph dev new`: a declaration for what a port sends, a first graph for a recording, or the skeleton of an operator or a device."""
 
 from __future__ import annotations
 
@@ -90,13 +90,13 @@ def new(
 
     A device's graph is written from what its port sends, a recording's from what it holds.
 
-    kinegraph new operator baseline
+    kinegraph dev new operator baseline
 
-    kinegraph new device tiny_board
+    kinegraph dev new device tiny_board
 
-    kinegraph new device /dev/ttyACM0 -o board.yaml
+    kinegraph dev new device /dev/ttyACM0 -o board.yaml
 
-    kinegraph new graph walk.mcap -o walk.yaml
+    kinegraph dev new graph walk.mcap -o walk.yaml
 
     A skeleton works as it stands, and its tests pass (`pytest`): a graph, an operator, or a device's protocol, driver and simulator.
 
@@ -156,7 +156,9 @@ def _for_recording(path: File) -> str:
     from kinegraph.stream.recording import Recording
 
     if path.is_file() and path.suffix != ".mcap":
-        raise KinegraphError(f"{path}: is not a recording; make one of it: kinegraph import {path} -o {path.stem}.mcap")
+        raise KinegraphError(
+            f"{path}: is not a recording; make one of it: kinegraph files import {path} -o {path.stem}.mcap"
+        )
     with reading(path, "a recording"), Recording.open(path) as opened:
         specs = {n: s.spec for n, s in opened.streams.items() if s.role == "input" and s.kept != "outline"}
     if not specs:
@@ -232,7 +234,7 @@ def _graph(use: str, port: str, baud: int, facts: dict[str, Any]) -> str:
     text, yaml = io.StringIO(), YAML(typ="safe", pure=True)
     yaml.default_flow_style, yaml.sort_base_mapping_type_on_output, yaml.width = None, False, 140  # type: ignore[assignment]
     yaml.dump({"nodes": {"board": node}}, text)
-    return f"# Proposed by `kinegraph new device` from what came; compare types, names and units with the manual.\n{text.getvalue()}"
+    return f"# Proposed by `kinegraph dev new device` from what came; compare types, names and units with the manual.\n{text.getvalue()}"
 
 
 def _check(text: str) -> None:

@@ -1,4 +1,4 @@
-"""`kinegraph nights`: what the night's log holds, over weeks, too; draw a report again; export; delete a night."""
+"""`kinegraph sleep nights`: what the night's log holds, over weeks, too; draw a report again; export; delete a night."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def nights(
     `report NIGHT` draws one again; `weeks` reports on many and compares periods; `export` writes one table; `delete NIGHT` removes a night
     with all its files.
 
-    kinegraph nights weeks --compare 2026-10-19..2026-11-01 --compare 2026-11-02..2026-11-15
+    kinegraph sleep nights weeks --compare 2026-10-19..2026-11-01 --compare 2026-11-02..2026-11-15
     """
     if not path.is_dir():
         raise KinegraphError(f"there is no folder {path}; name the one of the night's log with --path")
@@ -222,7 +222,7 @@ def _list(root: Path, sleeper: str, free: tuple[int, ...]) -> None:
     console = Screen()
     console.print(table)
     for folder in archive.damaged(root):
-        console.print(f"{folder.name}: cannot be read; kinegraph nights delete {folder.name} removes it")
+        console.print(f"{folder.name}: cannot be read; kinegraph sleep nights delete {folder.name} removes it")
     for who, rows in of.items():
         if sum(r.kind == "night" for r in rows) > 1:
             console.print(f"\n{who or 'Trends'}:", *weeks_page.words(weeks.trend(rows, free)), sep="\n  ")

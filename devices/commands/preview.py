@@ -1,4 +1,4 @@
-"""`kinegraph import --preview`: what was understood of files, before anything is written."""
+"""`kinegraph files import --preview`: what was understood of files, before anything is written."""
 
 from __future__ import annotations
 

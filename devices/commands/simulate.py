@@ -1,4 +1,4 @@
-"""`kinegraph simulate`: one simulated device on its own, at an address that any software can open."""
+"""`kinegraph dev simulate`: one simulated device on its own, at an address that any software can open."""
 
 from __future__ import annotations
 

@@ -43,7 +43,9 @@ def graph_text(path: Path, specs: Mapping[str, StreamSpec]) -> str:
     text, yaml = io.StringIO(), YAML(typ="safe", pure=True)
     yaml.default_flow_style, yaml.sort_base_mapping_type_on_output, yaml.width = None, False, 120  # type: ignore[assignment]
     yaml.dump(top, text)
-    return f"# Proposed by `kinegraph new graph` from what {path.name} holds:\n{_holds(specs, edges)}{text.getvalue()}"
+    return (
+        f"# Proposed by `kinegraph dev new graph` from what {path.name} holds:\n{_holds(specs, edges)}{text.getvalue()}"
+    )
 
 
 def _holds(specs: Mapping[str, StreamSpec], edges: Mapping[str, str]) -> str:

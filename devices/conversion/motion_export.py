@@ -1,4 +1,4 @@
-"""`kinegraph export` to BVH and GLB: one stream of poses, or of a mesh's vertices, becomes a file that animation programs open."""
+"""`kinegraph files export` to BVH and GLB: one stream of poses, or of a mesh's vertices, becomes a file that animation programs open."""
 
 from __future__ import annotations
 

@@ -54,8 +54,8 @@ class Cyton(SerialSource):
 
     Packets of `gather_s` are read at once, which delays them by as much at most and halves the work. Stamps come from the counter.
 
-    The board measures its electrodes' impedances before a session (`kinegraph check-electrodes`): both poles of a channel, one after the
-    other; of one whose positive side is SRB2, or whose negative side is SRB1, the other pole alone.
+    The board measures its electrodes' impedances before a session (`kinegraph emg check-electrodes`): both poles of a channel, one after
+    the other; of one whose positive side is SRB2, or whose negative side is SRB1, the other pole alone.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("emg", "accel", "timing")

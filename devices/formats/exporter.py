@@ -1,6 +1,6 @@
 """A recording's streams out into other programs' formats: what an exporter is, and which there are.
 
-An exporter is an entry point of the group `kinegraph.exporters`, so that any package can add a format to `kinegraph export`.
+An exporter is an entry point of the group `kinegraph.exporters`, so that any package can add a format to `kinegraph files export`.
 """
 
 from __future__ import annotations

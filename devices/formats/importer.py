@@ -1,6 +1,6 @@
 """Other programs' formats in: what an importer is, which there are, and files read by those that know them.
 
-An importer is an entry point of the group `kinegraph.importers`, so that any package can add a format to `kinegraph import`.
+An importer is an entry point of the group `kinegraph.importers`, so that any package can add a format to `kinegraph files import`.
 """
 
 from __future__ import annotations

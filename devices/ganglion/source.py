@@ -37,7 +37,7 @@ class Ganglion(BleSource):
     acceleration   (3,) float64, irregular, 10 Hz, with `acceleration`: x, y, z in g
     timing         an event per packet: its running sample number, arrival, stamp
 
-    The board measures its electrodes' impedances itself before a session (`kinegraph check-electrodes`): each channel's, and the
+    The board measures its electrodes' impedances itself before a session (`kinegraph emg check-electrodes`): each channel's, and the
     reference's, which stands as every channel's other pole.
 
     Firmware 2 sends differences: behind a lost packet everything up to the next whole one (half a second on average) is lost too, and is

@@ -135,7 +135,7 @@ def _number(spec: StreamSpec, chunk: Chunk, field: str) -> Samples:
 
 
 def _describe(desc: Any, labels: list[tuple[str, str]], kind: str, spec: StreamSpec | None) -> None:
-    """XDF's conventions, and the spec, from which `kinegraph import` makes the stream that it was."""
+    """XDF's conventions, and the spec, from which `kinegraph files import` makes the stream that it was."""
     if len(labels) <= CHANNELS_SAID:
         write_channels(desc, labels, kind)
     acquisition = desc.append_child("acquisition")

@@ -1,8 +1,8 @@
 """`--foxglove`: the same streams for Foxglove and Lichtblick, through the Foxglove SDK's WebSocket server, in a process of its own.
 
-Signals, events, markers and poses are JSON messages, one per sample, as `kinegraph export --format foxglove` writes them; depth frames are
-`foxglove.RawImage`. A stream is asked for while somebody subscribes to it. The protocol knows no token, and the SDK looks at no Origin; so
-it is served to this machine alone, and nobody steers the session by it.
+Signals, events, markers and poses are JSON messages, one per sample, as `kinegraph files export --format foxglove` writes them; depth
+frames are `foxglove.RawImage`. A stream is asked for while somebody subscribes to it. The protocol knows no token, and the SDK looks at no
+Origin; so it is served to this machine alone, and nobody steers the session by it.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class RecordedStreams(Source):
     the last one does. Delay: none; a chunk is given when its time has come.
     """
 
-    path: str = param(help="the recording: what `kinegraph import` or a session wrote")
+    path: str = param(help="the recording: what `kinegraph files import` or a session wrote")
     of: str = param("", help="what streams' names begin with, before a dot; left out: what they all begin with")
     streams: Mapping[str, str] | None = param(None, help="outputs by name, and the stream that each of them is")
     speed: float = param(
@@ -85,7 +85,7 @@ class RecordedStreams(Source):
         path = Path(self.path)
         if path.is_file() and path.suffix != ".mcap":
             raise ParameterError(
-                "path", self.path, f"a recording; make one of it: kinegraph import {path} -o {path.stem}.mcap"
+                "path", self.path, f"a recording; make one of it: kinegraph files import {path} -o {path.stem}.mcap"
             )
         try:
             return Recording.open(path)

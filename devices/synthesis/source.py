@@ -29,7 +29,7 @@ NEARER_M = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Synthesis(Source):
-    """Walks on a motion graph (`kinegraph train graph`) and gives out its poses, at the graph's rate; begins at (0, 0), facing z.
+    """Walks on a motion graph (`kinegraph motion train graph`) and gives out its poses, at the graph's rate; begins at (0, 0), facing z.
 
     pose   root position and quaternions of the humanoid skeleton, for an avatar, a BVH file, the page
     node   an event whenever another stretch of the recordings begins: its number, its cluster, whether mirrored, and where (m)
@@ -46,7 +46,7 @@ class Synthesis(Source):
 
     outputs: ClassVar[tuple[str, ...]] = ("pose", "node")
 
-    model: Path = param(help="what `kinegraph train graph` has made")
+    model: Path = param(help="what `kinegraph motion train graph` has made")
     order: tuple[tuple[str, int], ...] = param((), least=1, help="[cluster, nodes of it], one after the other")
     path: tuple[tuple[float, float], ...] = param((), help="points x, z (m) on the floor, to be walked along")
     target: tuple[float, float] | None = param(None, help="a place x, z (m) to go to")

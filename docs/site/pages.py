@@ -17,7 +17,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
-from kinegraph.stream.cli.commands.parts import accepted, shown
+from kinegraph.stream.cli.commands.components import accepted, shown
 from kinegraph.stream.graph.components import catalogue, kind_of
 from kinegraph.stream.operator import Operator
 from kinegraph.stream.params import schema
@@ -105,7 +105,13 @@ def _parts(title: str, parts: dict[str, Any]) -> str:
         rows.append(f"| [{name}](#{use.lower().replace('.', '')}) | {', '.join(part.outputs)} | {_cell(first)} |")
         told.append(f"## {use}\n\n{_ports(part)}{paragraphs(inspect.getdoc(part) or '')}\n\n{_parameters(part)}")
     return "\n".join(
-        [f"# {title.capitalize()}\n", f"{len(parts)} {title}, as `kinegraph parts` lists them.\n", *rows, "", *told]
+        [
+            f"# {title.capitalize()}\n",
+            f"{len(parts)} {title}, as `kinegraph components` lists them.\n",
+            *rows,
+            "",
+            *told,
+        ]
     )
 
 
@@ -195,18 +201,19 @@ def _commands() -> str:
     import typer
 
     from kinegraph.stream.cli import main as cli
+    from kinegraph.stream.cli import registry
 
     os.environ["COLUMNS"] = "110"
-    told = ["# Commands\n", f"```text\n{cli.overview()}\n```\n"]
-    for name in [*cli.COMMANDS, *(entry.name for entry in cli.added())]:
-        command = cli.function_of(name)
+    told = ["# Commands\n", f"```text\n{registry.overview()}\n```\n"]
+    for name in registry.names():
+        command = registry.function_of(name)
         under = [c.name for c in command.registered_commands] if isinstance(command, typer.Typer) else []
         for words in [[name], *([name, str(sub)] for sub in under)]:
             text = io.StringIO()
             with redirect_stdout(text), suppress(SystemExit):
                 cli.call(name, [*words[1:], "--help"])
             told.append(
-                f"{'#' * (1 + len(words))} kinegraph {' '.join(words)}\n\n```text\n{text.getvalue().strip()}\n```\n"
+                f"{'##' if len(words) == 1 else '###'} kinegraph {' '.join(words)}\n\n```text\n{text.getvalue().strip()}\n```\n"
             )
     return "\n".join(told)
 

@@ -1,1 +1,1 @@
-"""Commands that packages of operators extend: `kinegraph train` and `kinegraph evaluate`."""
+"""`kinegraph files fetch`, and what several commands share."""

@@ -1,4 +1,4 @@
-"""`kinegraph fetch pose-model`: the pose network, from the registry where its makers published it, checked before it is kept."""
+"""`kinegraph files fetch pose-model`: the pose network, from the registry where its makers published it, checked before it is kept."""
 
 from __future__ import annotations
 
@@ -25,15 +25,7 @@ Copyright The MediaPipe Authors. Licensed under the Apache License, Version 2.0:
 It is unchanged, and it is no part of kinegraph. Source: https://github.com/google-ai-edge/mediapipe
 """
 
-fetch = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True)
 
-
-@fetch.callback()
-def group() -> None:
-    """Download what kinegraph uses but does not contain."""
-
-
-@fetch.command("pose-model", context_settings={"help_option_names": ["-h", "--help"]})
 def pose_model(
     package: Annotated[
         str, typer.Option("--package", metavar="FILE.tgz", help="the package, if it was downloaded otherwise")

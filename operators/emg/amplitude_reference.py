@@ -59,7 +59,9 @@ class AmplitudeReference:
         """Raises CalibrationError for a file that is missing, broken or something else."""
         from pydantic import ValidationError
 
-        record = read_json(path, "an amplitude reference", CalibrationError, "`kinegraph calibrate` makes references")
+        record = read_json(
+            path, "an amplitude reference", CalibrationError, "`kinegraph emg calibrate` makes references"
+        )
         if record.pop("format", None) != FORMAT:
             raise CalibrationError(f"{path}: is not an amplitude reference; it must hold the format {FORMAT!r}")
         try:

@@ -29,9 +29,9 @@ class Normalise(Operator[NormaliseState]):
 
     `method` is what the reference stands for: `mvc` the strongest voluntary contraction, `rest` the mean at rest, `task_peak` and
     `task_mean` the peak and the mean of the mean cycle in a calibration walk, or `none`: nothing is changed, no reference is needed.
-    The reference is a file that `kinegraph calibrate` wrote. It is read once, when the graph is opened, and is refused if its muscles, its
-    unit or its envelope's parameters are others than those of the input, or if it was taken of another subject than the session's (unless
-    `any_subject`).
+    The reference is a file that `kinegraph emg calibrate` wrote. It is read once, when the graph is opened, and is refused if its muscles,
+    its unit or its envelope's parameters are others than those of the input, or if it was taken of another subject than the session's
+    (unless `any_subject`).
 
     The thesis scales every signal to [0, 1]; done cycle by cycle that hides every change in strength. A reference that is frozen before
     the session keeps cycles, muscles and sessions comparable. `meta["normalisation"]` names the method on this and every stream made from
@@ -40,7 +40,7 @@ class Normalise(Operator[NormaliseState]):
 
     takes = "finite"
     method: Literal["mvc", "rest", "task_peak", "task_mean", "none"] = param("none", help="what 100 % stands for")
-    reference: str = param("", help="the file that `kinegraph calibrate` wrote")
+    reference: str = param("", help="the file that `kinegraph emg calibrate` wrote")
     any_subject: bool = param(False, help="use the reference even if it was taken of somebody else")
 
     def open(self, specs: Specs) -> Specs:

@@ -110,8 +110,8 @@ class SignalQuality(Operator[QualityState]):
     hum 15 %, 30 %; artefact 60 %, 90 % (an envelope's high-pass removes most of it, so it takes much to be called bad). "baseline noise":
     for the session, from the third window on, if the quietest window's noise is above `most_noise` (doubtful) or three times that (bad),
     if contrast is below `least_contrast` (doubtful; a muscle that never works looks the same), or if noise is above three times that of the
-    reference `rest` (doubtful; a file by `kinegraph calibrate rest`); for a window, if its noise is above these limits and at least three
-    (six) times that of the quietest.
+    reference `rest` (doubtful; a file by `kinegraph emg calibrate rest`); for a window, if its noise is above these limits and at least
+    three (six) times that of the quietest.
     The limits are ours, set on recordings with known faults; SENIAM and the thesis give none. Whether cycles repeat is another question,
     which `CycleEnsemble` answers ("not repeatable"); it says nothing about the electrode.
 

@@ -1,4 +1,4 @@
-"""Whole poses of a recording of many markers: what `kinegraph train pose` learns from where no skeleton was recorded (C3D)."""
+"""Whole poses of a recording of many markers: what `kinegraph motion train pose` learns from where no skeleton was recorded (C3D)."""
 
 from __future__ import annotations
 

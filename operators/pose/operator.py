@@ -78,8 +78,8 @@ class WholePose(_Solving):
 
     Any five or more of head, neck, root, nose, ears, and left and right hip, knee, ankle, toe, shoulder, elbow, wrist, hand, under names
     that operators.features.pose knows. Without `model` the pose is that of geometry: trunk and limbs point at their markers, elbows and
-    knees turn as they bend. A model (`kinegraph train pose`) corrects what markers do not show: how bones are turned about themselves,
-    where joints without a marker are. Then limbs of two bones are laid onto their markers.
+    knees turn as they bend. A model (`kinegraph motion train pose`) corrects what markers do not show: how bones are turned about
+    themselves, where joints without a marker are. Then limbs of two bones are laid onto their markers.
 
     Bone lengths are those of the first `calibrate_s` of standing still, left and right the same, and then never change. A marker that is
     not seen, or has leapt for less than three samples, is guessed: it moves with the trunk. A foot that is low and slow stands where it
@@ -90,7 +90,7 @@ class WholePose(_Solving):
 
     takes = "finite"
     outputs: ClassVar[tuple[str, ...]] = ("pose", "joints", "quality")
-    model: Path | None = param(None, help="what `kinegraph train pose` has made; left out: by geometry alone")
+    model: Path | None = param(None, help="what `kinegraph motion train pose` has made; left out: by geometry alone")
     landmarks: Mapping[str, tuple[str, ...]] | None = param(None, help="landmark: [point, ...], where names do not say")
     up: Literal["y", "z", "-y"] | None = param(None, help=f"{HELP} y")
     calibrate_s: float = param(
@@ -215,7 +215,7 @@ def start(tree: JointTree) -> WholePoseState:
 def regression_of(model: Model) -> Regression:
     """What a model of a pose says. Raises ModelError."""
     if "regional" not in model.arrays:
-        raise ModelError(f"{model.path}: made by an earlier kinegraph; make it again: kinegraph train pose")
+        raise ModelError(f"{model.path}: made by an earlier kinegraph; make it again: kinegraph motion train pose")
     chosen = model.array("landmarks", (None,), np.int64)
     if len(chosen) and not (chosen.min() >= 0 and chosen.max() < len(NAMES)):
         raise ModelError(f"{model.path}: names landmarks that do not exist")

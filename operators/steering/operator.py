@@ -72,7 +72,7 @@ class _Steered(Operator[SteerMeshState]):
 
 @dataclass(frozen=True, slots=True)
 class SteerMesh(_Steered):
-    """Markers (points, 3) in; out comes the mesh that a model (`kinegraph train steering`) has learned to move with them.
+    """Markers (points, 3) in; out comes the mesh that a model (`kinegraph motion train steering`) has learned to move with them.
 
     mesh      its vertices (vertices, 3) m, with the triangles in the spec
     quality   how far the markers are from all poses of the training, in kernel widths (the largest of all parts): beyond some 3 the mesh
@@ -97,7 +97,7 @@ class SteerMesh(_Steered):
     outputs: ClassVar[tuple[str, ...]] = ("mesh", "quality", "names")
 
     model: Path | None = param(
-        None, help="what `kinegraph train steering` has made; left out: a simple quadruped, to try things with"
+        None, help="what `kinegraph motion train steering` has made; left out: a simple quadruped, to try things with"
     )
     markers: Mapping[str, str] | None = param(None, help="marker of the model: point of the input, where names differ")
 

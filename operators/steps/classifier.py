@@ -62,8 +62,8 @@ class StepClassifierState:
 class StepClassifier(Operator[StepClassifierState]):
     """Steps (`operators.steps.steps.Steps`) in, an event per walking step out: what the model takes it for, and the running vote.
 
-    `model` is a file of `kinegraph train steps`; without one, a forest of two manners of simulated walking. It is refused for another
-    sensor site, rate or axes. Its header says how well it recognises people that it has never seen, and so does the output's `meta`
+    `model` is a file of `kinegraph motion train steps`; without one, a forest of two manners of simulated walking. It is refused for
+    another sensor site, rate or axes. Its header says how well it recognises people that it has never seen, and so does the output's `meta`
     (`accuracy`). Turns, first and slow steps, and steps with NaN features count for nothing. A model that was no better than guessing
     with left-out subjects says "uncertain" at every step.
 
@@ -72,7 +72,9 @@ class StepClassifier(Operator[StepClassifierState]):
 
     outputs: ClassVar[tuple[str, ...]] = ("judgement",)
 
-    model: str = param("", help="a file of `kinegraph train steps`; empty: the shipped one, of simulated walkers")
+    model: str = param(
+        "", help="a file of `kinegraph motion train steps`; empty: the shipped one, of simulated walkers"
+    )
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

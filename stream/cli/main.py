@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
 import sys
@@ -10,43 +9,16 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial, wraps
-from importlib.metadata import entry_points, version
+from importlib.metadata import version
 from io import TextIOWrapper
 from types import FrameType
 from typing import Any, NoReturn
 
+from kinegraph.stream.cli.registry import command_in, function_of, group_in, overview, unknown
 from kinegraph.stream.compiler.llvm_guard import later, within_llvm
-from kinegraph.stream.errors import Interrupted, KinegraphError, Terminated, nearest
+from kinegraph.stream.errors import Interrupted, KinegraphError, Terminated
 from kinegraph.stream.system.atomic_file import be_private
-from kinegraph.stream.system.entry_points import loaded
 from kinegraph.stream.text.safe_text import say
-
-COMMANDS = {
-    "run": ("kinegraph.stream.cli.commands.run:run", "Run a graph on live devices; record the session."),
-    "replay": ("kinegraph.stream.cli.commands.replay:replay", "Run a graph on a recording; same results, bit for bit."),
-    "batch": ("kinegraph.stream.cli.commands.batch:batch", "Replay a graph over many recordings, into Parquet tables."),
-    "check": ("kinegraph.stream.cli.commands.check:check", "Check a graph; print its streams, delays and memory."),
-    "draw": ("kinegraph.stream.cli.commands.draw:draw", "Draw a graph in the terminal, or as Mermaid or DOT."),
-    "parts": (
-        "kinegraph.stream.cli.commands.parts:parts",
-        "List what a graph can use: sources, operators, outlets, their parameters.",
-    ),
-    "configs": (
-        "kinegraph.stream.cli.commands.configs:configs",
-        "List the graphs that come with kinegraph; copy them.",
-    ),
-    "schema": ("kinegraph.stream.cli.commands.schema:schema", "Write the JSON Schema of graphs, for editors."),
-    "info": ("kinegraph.stream.cli.commands.info:info", "Show what a recording holds."),
-    "recover": ("kinegraph.stream.cli.commands.recover:recover", "Complete a recording left by a killed process."),
-    "try": ("kinegraph.stream.cli.commands.try_:try_", "Check an operator of your own against the laws."),
-}
-"""Our commands; packages add theirs through the entry-point group `kinegraph.commands`."""
-
-
-USAGE = """usage: kinegraph COMMAND [ARGUMENTS]
-
-A real-time engine for motion and biosignal devices: graphs in YAML, live or replayed bit for bit.
-"""
 
 
 def main() -> None:
@@ -81,13 +53,18 @@ def _stop(end: KeyboardInterrupt) -> NoReturn:
 
 def _main(arguments: list[str]) -> None:
     try:
-        if not arguments or arguments[0] in ("-h", "--help", "help"):
-            say(overview(), err=not arguments)
-            sys.exit(0 if arguments else 2)
-        if arguments[0] in ("-V", "--version"):
+        if arguments and arguments[0] in ("-V", "--version"):
             say(f"kinegraph {version('kinegraph')}")
             return
-        call(arguments[0], arguments[1:])
+        if name := command_in(arguments):
+            call(name, arguments[len(name.split()) :])
+            return
+        group = group_in(arguments)
+        rest = arguments[len(group.split()) :]
+        if rest and rest[0] not in ("-h", "--help", "help"):
+            raise unknown(arguments)
+        say(overview(group), err=not rest)
+        sys.exit(0 if rest else 2)
     except KinegraphError as error:
         say(f"kinegraph: {error}", err=True)
         sys.exit(error.exit_code)
@@ -150,7 +127,10 @@ def _forget_output() -> None:
 
 
 def call(name: str, arguments: list[str]) -> None:
-    """Run one command (or a group of them, a Typer app); wrong arguments end the program with exit code 2 and the command's usage."""
+    """Run one command (a function, or a package's Typer app); wrong arguments end the program with exit code 2 and the command's usage.
+
+    `name` includes the command's group: `emg calibrate`.
+    """
     import typer
 
     found = function_of(name)
@@ -161,7 +141,9 @@ def call(name: str, arguments: list[str]) -> None:
     else:
         app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
         app.command(
-            name, context_settings={"help_option_names": ["-h", "--help"]}, epilog=_settings_of(name, arguments)
+            name.split()[-1],
+            context_settings={"help_option_names": ["-h", "--help"]},
+            epilog=_settings_of(name, arguments),
         )(_interruptible(found))
     app(arguments, prog_name=f"kinegraph {name}")
 
@@ -192,36 +174,3 @@ def _interruptible(function: Any) -> Any:
             raise RuntimeError("a file ended too early") from error
 
     return command
-
-
-def overview() -> str:
-    """What `kinegraph --help` prints."""
-    rows, broken = {name: text for name, (_, text) in COMMANDS.items()}, list[str]()
-    for entry in added():
-        try:
-            rows[entry.name] = _first_line(loaded(entry, "command"))
-        except KinegraphError as error:
-            broken.append(f"\n{error}")
-    width = max(map(len, rows))
-    listing = "\n".join(f"  {name:<{width}} {text}" for name, text in rows.items())
-    return f"{USAGE}\ncommands:\n{listing}\n{''.join(broken)}\nkinegraph COMMAND --help says more."
-
-
-def function_of(name: str) -> Any:
-    if name in COMMANDS:
-        module, _, function = COMMANDS[name][0].partition(":")
-        return getattr(importlib.import_module(module), function)
-    others = added()
-    for entry in others:
-        if entry.name == name:
-            return loaded(entry, "command")
-    raise KinegraphError(f"there is no command {name!r}; {nearest(name, [*COMMANDS, *(e.name for e in others)])}")
-
-
-def added() -> list[Any]:
-    return [e for e in entry_points(group="kinegraph.commands") if e.name not in COMMANDS]
-
-
-def _first_line(function: Any) -> str:
-    callback = getattr(getattr(function, "registered_callback", None), "callback", function)
-    return (callback.__doc__ or "").strip().partition("\n")[0]

@@ -102,7 +102,7 @@ def write_model(
 
 
 def read_model(path: Path, kind: str, maker: str = "") -> Model:
-    """Read a model of this kind, from a place that nobody else may write; `maker` is the command that makes one, if not `train KIND`.
+    """Read a model of this kind, from a place that nobody else may write; `maker` is the command, if not `motion train KIND`.
 
     Raises ModelError.
     """
@@ -111,7 +111,7 @@ def read_model(path: Path, kind: str, maker: str = "") -> Model:
         arrays = bounded.arrays(path)
     except FileNotFoundError:
         raise ModelError(
-            f"{path}: there is no such file; make a model with kinegraph {maker or f'train {kind}'}"
+            f"{path}: there is no such file; make a model with kinegraph {maker or f'motion train {kind}'}"
         ) from None
     except (OSError, *bounded.DAMAGE) as error:
         raise ModelError(f"{path}: not a model that can be read ({error or type(error).__name__})") from None

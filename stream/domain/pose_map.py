@@ -1,6 +1,6 @@
 """A map of recorded motion as it is stored: normalised poses of many sequences, their place on a PCA, and a self-organising map of them.
 
-Made by `kinegraph train map`, asked by operators.maps.pose_map.retrieve.Retrieve, shown by `kinegraph map`.
+Made by `kinegraph motion train map`, asked by operators.maps.pose_map.retrieve.Retrieve, shown by `kinegraph motion map`.
 """
 
 from __future__ import annotations

@@ -223,4 +223,4 @@ def _similar(use: str) -> str:
     if close:
         return f"; did you mean {'.'.join([close[0], *use.split('.')[1:]])!r}?"
     theirs = f"; your own files next to the graph are {', '.join(mine)}" if mine else ""
-    return f"{theirs}; `kinegraph parts` lists all components"
+    return f"{theirs}; `kinegraph components` lists all components"

@@ -1,4 +1,4 @@
-"""The laws of DESIGN, tried on any operator: `kinegraph try my_module.MyOperator`, or in a test:
+"""The laws of DESIGN, tried on any operator: `kinegraph dev try my_module.MyOperator`, or in a test:
 
 for make in trials(MyOperator):
     trial = make()                      # warms up; raises Broken, which says what is wrong, where, and what to do

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
 from kinegraph.stream.errors import KinegraphError, explain
-from kinegraph.stream.text.safe_text import say
 
 
 def loaded(entry: EntryPoint, kind: str) -> Any:
@@ -20,12 +18,3 @@ def loaded(entry: EntryPoint, kind: str) -> Any:
         raise KinegraphError(
             f"the {kind} {entry.name} ({entry.value}) cannot be loaded: {explain(error)}{again}"
         ) from None
-
-
-def usable(group: str, kind: str) -> Iterator[tuple[str, Any]]:
-    """Name and function of every entry point of a group. One that cannot be loaded is named on standard error and left out."""
-    for entry in entry_points(group=group):
-        try:
-            yield entry.name, loaded(entry, kind)
-        except KinegraphError as error:
-            say(f"kinegraph: {error}", err=True)

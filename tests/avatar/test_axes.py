@@ -296,7 +296,7 @@ def test_exported_markers_have_up_where_the_file_says_it(
 ) -> None:
     spec, data = performed(source, MOVES, MARKERS)
     write_recording(tmp_path / "m.mcap", [Series("m", spec, grid(RATE, len(data)), data)], {"graph": "", "session": {}})
-    kinegraph("export", tmp_path / "m.mcap", "-o", tmp_path / f"m{kind}")
+    kinegraph("files", "export", tmp_path / "m.mcap", "-o", tmp_path / f"m{kind}")
     if kind == ".trc":
         rows = np.loadtxt((tmp_path / "m.trc").read_text().splitlines()[6:], delimiter="\t")
         up = rows[:, 2:].reshape(len(rows), -1, 3)[..., 1]
@@ -321,13 +321,19 @@ def test_importers_declare_what_files_say_and_what_they_are_told(kinegraph: Comm
         "MOTION\nFrames: 2\nFrame Time: .05\n0 90 0\n0 91 0\n"
     )
     assert next(describe_axes(one.spec) for one in read_bvh(tmp_path / "b.bvh", "cm")) == "axes not declared"
-    kinegraph("import", tmp_path / "b.bvh", "--unit", "cm", "--up", "y", "--forward", "z", "-o", tmp_path / "b.mcap")
+    kinegraph(
+        "files", "import", tmp_path / "b.bvh", "--unit", "cm", "--up", "y", "--forward", "z", "-o", tmp_path / "b.mcap"
+    )
     with Recording.open(tmp_path / "b.mcap") as recording:
         assert {describe_axes(one.spec) for one in recording.streams.values()} <= {"y up, z forward", ""}
-    refused(kinegraph("import", tmp_path / "b.bvh", "--unit", "cm", "--up", "up", "--preview"), "--up up", "x, y, z")
-    refused(kinegraph("import", tmp_path / "b.bvh", "--unit", "cm", "--up", "c=y", "--preview"), "--up c=")
     refused(
-        kinegraph("import", tmp_path / "k.csv", "--kinect", "--up", "z", "--preview"),
+        kinegraph("files", "import", tmp_path / "b.bvh", "--unit", "cm", "--up", "up", "--preview"),
+        "--up up",
+        "x, y, z",
+    )
+    refused(kinegraph("files", "import", tmp_path / "b.bvh", "--unit", "cm", "--up", "c=y", "--preview"), "--up c=")
+    refused(
+        kinegraph("files", "import", tmp_path / "k.csv", "--kinect", "--up", "z", "--preview"),
         "declares its axes itself (y up, -z forward)",
     )
 
@@ -364,11 +370,20 @@ def test_a_model_is_trained_in_the_axes_of_its_recording(kinegraph: Command, tmp
             tmp_path / f"{name}.mcap", [Series("mesh", spec, grid(12.0, 12), mesh)], {"graph": "", "session": {}}
         )
         model = tmp_path / f"{name}.npz"
-        kinegraph("train", "steering", tmp_path / f"{name}.mcap", "--markers", tmp_path / "markers.yaml", "-o", model)
+        kinegraph(
+            "motion",
+            "train",
+            "steering",
+            tmp_path / f"{name}.mcap",
+            "--markers",
+            tmp_path / "markers.yaml",
+            "-o",
+            model,
+        )
         specs, out = through(SteerMesh(model=model), *performed("Qualisys", stride[:, list(marked().values())], names))
         assert Axes.of(specs["mesh"]) == axes
         assert np.linalg.norm(out["mesh"] - mesh, axis=-1).mean() < 0.02, name
-    told = kinegraph("train", "steering", tmp_path / "body.mcap", tmp_path / "lab.mcap", "--markers", tmp_path / "markers.yaml",
+    told = kinegraph("motion", "train", "steering", tmp_path / "body.mcap", tmp_path / "lab.mcap", "--markers", tmp_path / "markers.yaml",
                      "-o", tmp_path / "x.npz")  # fmt: skip
     refused(told, "has other axes than the one before", code=2)
 

@@ -545,7 +545,7 @@ def test_what_does_not_fit_is_refused_before_anything_opens(image: StreamSpec, p
 
 
 def test_a_model_that_is_not_there_says_how_to_get_it(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="kinegraph fetch pose-model"):
+    with pytest.raises(ParameterError, match="kinegraph files fetch pose-model"):
         PoseNetwork(str(tmp_path / "none.tflite")).open({"image": GREY, "person": DEPTH})
 
 

@@ -1,4 +1,4 @@
-"""`kinegraph train pose` on what its importers make of AMC and C3D files."""
+"""`kinegraph motion train pose` on what its importers make of AMC and C3D files."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def kinegraph(*arguments: object) -> None:
 
 
 def test_acclaim_files_give_poses_to_learn_from(tmp_path: Path) -> None:
-    kinegraph("import", *acclaim(tmp_path), "--rate", "9_01=30", "-o", tmp_path / "a.mcap")
+    kinegraph("files", "import", *acclaim(tmp_path), "--rate", "9_01=30", "-o", tmp_path / "a.mcap")
     with Recording.open(tmp_path / "a.mcap") as recording:
         tree = JointTree.of(recording.streams["9_01.pose"].spec)
         poses, ends = recording.read("9_01.pose")[1], recording.read("9_01")[1]
@@ -86,7 +86,7 @@ def test_acclaim_files_give_poses_to_learn_from(tmp_path: Path) -> None:
         begins = BONES[find_bones(tree.joints)[bone]][0]
         at = ends[:, ["root", *BONES].index(begins)] / 100.0
         assert np.abs(joints[:, list(body.joints).index(bone)] - at).max() < 1e-6
-    kinegraph("train", "pose", tmp_path / "a.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
+    kinegraph("motion", "train", "pose", tmp_path / "a.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
     model = read_model(tmp_path / "pose.npz", "pose")
     assert model.header["trained_on"] == ["a: 9_01.pose"] and model.header["landmarks"] == list(USUAL)
 
@@ -109,8 +109,8 @@ def c3d(path: Path, names: tuple[str, ...], *, up: str = "z", labels: tuple[str,
 @pytest.mark.parametrize("up", ["z", "y"])
 def test_c3d_files_that_show_more_than_the_model_will_see_give_poses_to_learn_from(up: str, tmp_path: Path) -> None:
     file = c3d(tmp_path / "walk.c3d", (*NAMES[:13], "toe_l", "toe_r", "hand_l", "hand_r", "neck", "root"), up=up)
-    kinegraph("import", file, "-o", tmp_path / "walk.mcap")
-    kinegraph("train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
+    kinegraph("files", "import", file, "-o", tmp_path / "walk.mcap")
+    kinegraph("motion", "train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
     assert len(read_model(tmp_path / "pose.npz", "pose").header["trained_on"]) == 1
     truth = played(marks((*USUAL, "toe_l", "toe_r")), (*USUAL, "toe_l", "toe_r"), calibrate_s=0.0)[1]
     made = played(marks(), model=tmp_path / "pose.npz", calibrate_s=0.0)[1]
@@ -129,15 +129,15 @@ def test_poses_of_markers_stand_upright_whichever_axis_points_up(columns: list[i
 
 
 def test_a_c3d_file_that_shows_no_more_than_the_model_will_see_teaches_nothing(tmp_path: Path) -> None:
-    kinegraph("import", c3d(tmp_path / "walk.c3d", USUAL), "-o", tmp_path / "walk.mcap")
+    kinegraph("files", "import", c3d(tmp_path / "walk.c3d", USUAL), "-o", tmp_path / "walk.mcap")
     with pytest.raises(KinegraphError, match="no markers that show more"):
-        cli.call("train", ["pose", str(tmp_path / "walk.mcap"), "-o", str(tmp_path / "pose.npz")])
+        cli.call("motion train pose", [str(tmp_path / "walk.mcap"), "-o", str(tmp_path / "pose.npz")])
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[str, str]:
     """What is said of each stream that is left out, and the error."""
     with pytest.raises(KinegraphError) as raised:
-        cli.call("train", ["pose", *map(str, arguments)])
+        cli.call("motion train pose", [*map(str, arguments)])
     return capsys.readouterr().err, str(raised.value)
 
 
@@ -162,7 +162,7 @@ def test_what_markers_lack_is_said_and_points_can_be_given_for_it(
     called = {"head": "TOP", "knee_l": "GENOU_G", "hip_l": "HANCHE_G"}
     names = (*USUAL, "toe_l", "toe_r", "neck")
     file = c3d(tmp_path / "walk.c3d", names, labels=tuple(called.get(name, name) for name in names))
-    kinegraph("import", file, "-o", tmp_path / "walk.mcap")
+    kinegraph("files", "import", file, "-o", tmp_path / "walk.mcap")
     training = (tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
     told, _ = refused(capsys, *training)
     assert "walk.markers: it shows no hip_l, knee_l, head; --markers says" in told
@@ -173,15 +173,15 @@ def test_what_markers_lack_is_said_and_points_can_be_given_for_it(
         ("head=", "names no points"),
     ):
         assert why in refused(capsys, *training, "--landmark", wrong)[1]
-    kinegraph("train", "pose", *training, *given)
+    kinegraph("motion", "train", "pose", *training, *given)
     assert read_model(tmp_path / "pose.npz", "pose").header["landmarks"] == list(USUAL)
 
 
 @needs_data
 def test_a_real_c3d_file_of_a_person_gives_a_model(tmp_path: Path) -> None:
     pytest.importorskip("ezc3d")
-    kinegraph("import", DATA / "steering" / "HDM_dg_06-03_03_120.c3d", "-o", tmp_path / "walk.mcap")
-    kinegraph("train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
+    kinegraph("files", "import", DATA / "steering" / "HDM_dg_06-03_03_120.c3d", "-o", tmp_path / "walk.mcap")
+    kinegraph("motion", "train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
     assert len(read_model(tmp_path / "pose.npz", "pose").header["trained_on"]) == 1
 
 

@@ -186,23 +186,21 @@ def test_a_mesh_is_imported_trained_and_steered_by_commands(tmp_path: Path) -> N
             f"f {a + 1} {b + 1}/1 {c + 1}//2" for a, b, c in FACES
         ]
         (tmp_path / f"walk{k:02}.obj").write_text("\n".join(lines))
-    kinegraph("import", *sorted(tmp_path.glob("*.obj")), "--rate", "24", "-o", tmp_path / "walk.mcap")
+    kinegraph("files", "import", *sorted(tmp_path.glob("*.obj")), "--rate", "24", "-o", tmp_path / "walk.mcap")
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
     (tmp_path / "markers.yaml").write_text(text)
     arguments = (
-        "train",
-        "steering",
         tmp_path / "walk.mcap",
         "--markers",
         tmp_path / "markers.yaml",
         "-o",
         tmp_path / "m.npz",
     )
-    kinegraph(*arguments)
+    kinegraph("motion", "train", "steering", *arguments)
     found, _ = steered(STRIDE[::4, NUMBERS], model=tmp_path / "m.npz")
     assert np.linalg.norm(found - STRIDE[::4], axis=-1).mean() < 0.01
     with pytest.raises(KinegraphError, match="--overwrite"):
-        cli.call("train", [str(a) for a in arguments[1:]])
+        cli.call("motion train steering", [*map(str, arguments)])
     for wrong, why in (
         ("markers: {a: 432}", "vertices 0 to 431"),
         ("markers: {a: 7, b: 9, c: 7}", "markers 'c' and 'a' are both vertex 7"),
@@ -214,9 +212,8 @@ def test_a_mesh_is_imported_trained_and_steered_by_commands(tmp_path: Path) -> N
         (tmp_path / "wrong.yaml").write_text(wrong)
         with pytest.raises(KinegraphError, match=why):
             cli.call(
-                "train",
+                "motion train steering",
                 [
-                    "steering",
                     str(tmp_path / "walk.mcap"),
                     "--markers",
                     str(tmp_path / "wrong.yaml"),
@@ -275,7 +272,7 @@ def test_a_model_of_something_else_and_a_recording_of_another_mesh_are_refused(t
     write_model(tmp_path / "pose.npz", "pose", header, arrays)
     with pytest.raises(ModelError, match=r"pose\.npz.*(pose|mesh)"):
         SteerMesh(model=tmp_path / "pose.npz").open({"in": StreamSpec((6, 3), channels=NAMES, units=("m",))})
-    with pytest.raises(ModelError, match="make a model with kinegraph train steering"):
+    with pytest.raises(ModelError, match="make a model with kinegraph motion train steering"):
         SteerMesh(model=tmp_path / "none.npz").open({"in": StreamSpec((6, 3), channels=NAMES, units=("m",))})
     other = Topology(432, topology().faces[:-1], "other")
     for name, mesh in (("a", topology()), ("b", other)):
@@ -284,7 +281,7 @@ def test_a_model_of_something_else_and_a_recording_of_another_mesh_are_refused(t
     (tmp_path / "m.yaml").write_text("markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}")
     arguments = [tmp_path / "a.mcap", tmp_path / "b.mcap", "--markers", tmp_path / "m.yaml", "-o", tmp_path / "m.npz"]
     with pytest.raises(KinegraphError, match=r"b\.mcap: mesh is another mesh than the one before"):
-        cli.call("train", ["steering", *map(str, arguments)])
+        cli.call("motion train steering", [*map(str, arguments)])
 
 
 @pytest.mark.parametrize(("config", "source"), [("steer_mesh", "animal"), ("steer_horse", "people")])
@@ -308,7 +305,7 @@ def mesh_files(folder: Path, frames: int, *, holes: bool = False, apart: bool = 
         corners = np.vstack([faces, len(STRIDE[0]) + np.array([[0, 1, 2], [0, 2, 3]])]) if apart else faces
         lines = [f"v {x} {y} {z}" for x, y, z in places] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in corners]
         (folder / f"frame{k:02}.obj").write_text("\n".join(lines))
-    kinegraph("import", *sorted(folder.glob("*.obj")), "--rate", "24", "-o", folder / "mesh.mcap")
+    kinegraph("files", "import", *sorted(folder.glob("*.obj")), "--rate", "24", "-o", folder / "mesh.mcap")
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
     (folder / "markers.yaml").write_text(text)
     return folder / "mesh.mcap"
@@ -317,7 +314,7 @@ def mesh_files(folder: Path, frames: int, *, holes: bool = False, apart: bool = 
 @pytest.mark.parametrize(("holes", "apart"), [(True, False), (False, True)], ids=["holes", "components"])
 def test_a_mesh_with_holes_or_in_pieces_is_steered_as_a_whole_one(holes: bool, apart: bool, tmp_path: Path) -> None:
     mesh = mesh_files(tmp_path, 12, holes=holes, apart=apart)
-    kinegraph("train", "steering", mesh, "--markers", tmp_path / "markers.yaml", "-o", tmp_path / "m.npz")
+    kinegraph("motion", "train", "steering", mesh, "--markers", tmp_path / "markers.yaml", "-o", tmp_path / "m.npz")
     found, quality = steered(STRIDE[::4, NUMBERS], model=tmp_path / "m.npz")
     assert np.isfinite(found).all() and np.isfinite(quality).all()
     assert np.linalg.norm(found[:, : len(STRIDE[0])] - STRIDE[::4], axis=-1).mean() < 0.01
@@ -325,7 +322,6 @@ def test_a_mesh_with_holes_or_in_pieces_is_steered_as_a_whole_one(holes: bool, a
 
 def test_one_frame_of_a_mesh_teaches_nothing_and_says_so(tmp_path: Path) -> None:
     arguments = [
-        "steering",
         str(mesh_files(tmp_path, 1)),
         "--markers",
         str(tmp_path / "markers.yaml"),
@@ -333,7 +329,7 @@ def test_one_frame_of_a_mesh_teaches_nothing_and_says_so(tmp_path: Path) -> None
         str(tmp_path / "m.npz"),
     ]
     with pytest.raises(KinegraphError, match="at least 2 are needed"):
-        cli.call("train", arguments)
+        cli.call("motion train steering", arguments)
     assert not (tmp_path / "m.npz").exists()
 
 

@@ -308,8 +308,8 @@ def test_a_report_shows_parts_errors_and_modes(tmp_path: Path) -> None:
     write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
     (tmp_path / "m.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\n")
-    train = ("train", "steering", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
-    kinegraph(*train, "--report", tmp_path / "m.html")
+    files = (tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
+    kinegraph("motion", "train", "steering", *files, "--report", tmp_path / "m.html")
     page = (tmp_path / "m.html").read_text()
     assert page.count("<img") == 3 and "hoof_fl" in page
     told = float(page.split("vertices are off by ")[1].split(" %")[0])
@@ -320,8 +320,8 @@ def test_a_report_shows_parts_errors_and_modes(tmp_path: Path) -> None:
     kept = (tmp_path / "m.html").stat().st_mtime_ns
     with pytest.raises(KinegraphError, match=r"m\.html: exists"):
         cli.call(
-            "train",
-            [*(str(word) for word in train[1:]), "-o", str(tmp_path / "n.npz"), "--report", str(tmp_path / "m.html")],
+            "motion train steering",
+            [*map(str, files), "-o", str(tmp_path / "n.npz"), "--report", str(tmp_path / "m.html")],
         )
     assert (tmp_path / "m.html").stat().st_mtime_ns == kept
 
@@ -357,13 +357,25 @@ def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) ->
     write_recording(tmp_path / "walk.mcap", [Series("walk", spec, grid(30.0, 60), 40.0 * marks)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
     (tmp_path / "m.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\nheading: [croup, withers]\n")
-    train = ("train", "steering", tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
-    kinegraph(*train, "--performer", tmp_path / "walk.mcap")
+    files = (tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
+    kinegraph("motion", "train", "steering", *files, "--performer", tmp_path / "walk.mcap")
     assert read_model(tmp_path / "m.npz", KIND).header["performer"] == "walk.mcap"
-    kinegraph(*train, "--performer", tmp_path / "walk.mcap", "--ranges", "graph", "--pairing", "swing", "--overwrite")
+    kinegraph(
+        "motion",
+        "train",
+        "steering",
+        *files,
+        "--performer",
+        tmp_path / "walk.mcap",
+        "--ranges",
+        "graph",
+        "--pairing",
+        "swing",
+        "--overwrite",
+    )
     header = read_model(tmp_path / "m.npz", KIND).header
     assert (header["ranges"], header["pairing"]) == ("graph", "swing")
-    kinegraph(*train, "--performer", tmp_path / "walk.mcap", "--overwrite")
+    kinegraph("motion", "train", "steering", *files, "--performer", tmp_path / "walk.mcap", "--overwrite")
     made = steered(tmp_path / "m.npz", 0.4 * marks)
     assert np.isfinite(made).all() and np.ptp(made[:, AT[0], 2]) > 0.1
     for more, why in (
@@ -376,14 +388,14 @@ def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) ->
         (("--method", "local", "--performer", tmp_path / "walk.mcap"), "limbs move by themselves"),
     ):
         with pytest.raises(KinegraphError, match=why):
-            cli.call("train", [str(a) for a in (*train[1:], "--overwrite", *more)])
+            cli.call("motion train steering", [str(a) for a in (*files, "--overwrite", *more)])
     (tmp_path / "m.yaml").write_text(text)
     for more in (("--performer", tmp_path / "walk.mcap"), ("--pose", "angles"), ("--regression", "linear")):
         with pytest.raises(KinegraphError, match="move with the markers that lie on them"):
-            cli.call("train", [str(a) for a in (*train[1:], "--overwrite", "--method", "local", *more)])
+            cli.call("motion train steering", [str(a) for a in (*files, "--overwrite", "--method", "local", *more)])
     (tmp_path / "m.yaml").write_text(f"{text}heading: [croup]\n")
     with pytest.raises(KinegraphError, match="two markers"):
-        cli.call("train", [str(a) for a in (*train[1:], "--overwrite")])
+        cli.call("motion train steering", [str(a) for a in (*files, "--overwrite")])
 
 
 def test_the_limbs_of_a_performer_are_called_as_the_file_of_markers_says(tmp_path: Path) -> None:
@@ -400,7 +412,7 @@ def test_the_limbs_of_a_performer_are_called_as_the_file_of_markers_says(tmp_pat
     (tmp_path / "other.yaml").write_text(mapped)
     for name in ("own", "other"):
         kinegraph(
-            "train", "steering", tmp_path / "mesh.mcap", "--markers", tmp_path / f"{name}.yaml", "-o", tmp_path / f"{name}.npz",
+            "motion", "train", "steering", tmp_path / "mesh.mcap", "--markers", tmp_path / f"{name}.yaml", "-o", tmp_path / f"{name}.npz",
             "--performer", tmp_path / f"{name}.mcap",
         )  # fmt: skip
     own, other = (read_model(tmp_path / f"{name}.npz", KIND).arrays for name in ("own", "other"))
@@ -416,7 +428,7 @@ def test_the_limbs_of_a_performer_are_called_as_the_file_of_markers_says(tmp_pat
         (tmp_path / "wrong.yaml").write_text(wrong)
         with pytest.raises(KinegraphError, match=why):
             given = (tmp_path / "mesh.mcap", "--markers", tmp_path / "wrong.yaml", "-o", tmp_path / "x.npz")
-            cli.call("train", ["steering", *map(str, given), "--performer", str(tmp_path / "other.mcap")])
+            cli.call("motion train steering", [*map(str, given), "--performer", str(tmp_path / "other.mcap")])
 
 
 def test_a_mesh_with_holes_in_several_pieces_is_steered_all_the_same() -> None:
@@ -493,7 +505,7 @@ def test_one_frame_is_too_few_to_learn_from(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text("markers: {a: 1}\n")
     with pytest.raises(KinegraphError, match="at least 2"):
         cli.call(
-            "train", ["steering", str(tmp_path / "one.mcap"), "--markers", str(tmp_path / "m.yaml"), "-o", "x.npz"]
+            "motion train steering", [str(tmp_path / "one.mcap"), "--markers", str(tmp_path / "m.yaml"), "-o", "x.npz"]
         )
 
 

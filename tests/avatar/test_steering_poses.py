@@ -150,11 +150,11 @@ def test_the_command_takes_the_options_and_says_what_is_wrong(tmp_path: Path) ->
     write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\n"
     (tmp_path / "m.yaml").write_text(text + "reference: [withers, croup]\n")
-    files = (tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
-    train = ["steering", *map(str, files)]
+    files = [tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml"]
+    train = [*map(str, files)]
     options = ["--pose", "directions", "--regression", "linear", "--skeleton"]
     with pytest.raises(SystemExit) as ended:
-        cli.call("train", [*train, *options, "--overwrite"])
+        cli.call("motion train steering", [*train, *options, "--overwrite"])
     assert not ended.value.code
     header = read_model(tmp_path / "m.npz", KIND).header
     assert (header["pose"], header["regression"], header["skeleton"]) == ("directions", "linear", True)
@@ -165,10 +165,10 @@ def test_the_command_takes_the_options_and_says_what_is_wrong(tmp_path: Path) ->
         (["--skeleton", "--method", "both"], "hang from one another"),
     ):
         with pytest.raises(KinegraphError, match=why):
-            cli.call("train", [*train, "--overwrite", *more])
+            cli.call("motion train steering", [*train, "--overwrite", *more])
     (tmp_path / "m.yaml").write_text(text + "reference: [withers]\n")
     with pytest.raises(KinegraphError, match="two reference markers"):
-        cli.call("train", [*train, "--overwrite", "--pose", "angles"])
+        cli.call("motion train steering", [*train, "--overwrite", "--pose", "angles"])
 
 
 def test_models_whose_graph_or_tree_does_not_fit_are_refused(tmp_path: Path) -> None:

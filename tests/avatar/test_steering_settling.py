@@ -227,11 +227,11 @@ def test_the_command_takes_the_options_and_says_what_is_wrong(tmp_path: Path) ->
     write_recording(tmp_path / "mesh.mcap", [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\nreference: [withers, croup]\n"
     (tmp_path / "m.yaml").write_text(f"{text}limbs: [{', '.join(LIMBS)}]\n")
-    files = (tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml")
-    train = ["steering", *map(str, files)]
+    files = [tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml"]
+    train = [*map(str, files)]
     options = ["--alignment", "greedy", "--shapes", "optimised", "--blend", "shared", "--parts", "8"]
     with pytest.raises(SystemExit) as ended:
-        cli.call("train", [*train, *options, "--report", str(tmp_path / "m.html")])
+        cli.call("motion train steering", [*train, *options, "--report", str(tmp_path / "m.html")])
     assert not ended.value.code
     model = read_model(tmp_path / "m.npz", KIND)
     assert [model.header[name] for name in ("alignment", "shapes", "blend")] == ["greedy", "optimised", "shared"]
@@ -245,10 +245,10 @@ def test_the_command_takes_the_options_and_says_what_is_wrong(tmp_path: Path) ->
         (["--blend", "shared", "--skeleton"], "leave out --skeleton"),
     ):
         with pytest.raises(KinegraphError, match=why):
-            cli.call("train", [*train, "--overwrite", *more])
+            cli.call("motion train steering", [*train, "--overwrite", *more])
     (tmp_path / "m.yaml").write_text(text)
     with pytest.raises(KinegraphError, match="names no limbs"):
-        cli.call("train", [*train, "--overwrite", "--blend", "shared"])
+        cli.call("motion train steering", [*train, "--overwrite", "--blend", "shared"])
 
 
 def test_models_whose_parts_are_held_by_what_is_not_there_are_refused(tmp_path: Path) -> None:

@@ -100,7 +100,9 @@ def test_a_training_of_poses_names_a_recording_of_another_axis(axis: str, tmp_pa
         for pose in poses:
             multiply(np.array([half, half, 0.0, 0.0]), pose[3:7].copy(), pose[3:7])
     write_recording(tmp_path / "walk.mcap", [Series("body", tree.spec(RATE), grid(RATE, N), poses)], {})
-    code, _, told = kinegraph("train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "m.npz", "--centres", "50")
+    code, _, told = kinegraph(
+        "motion", "train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "m.npz", "--centres", "50"
+    )
     assert code == 0 and (tmp_path / "m.npz").exists(), told
     assert ("walk: body: somebody walks upright along z; turn it: y must point up" in told) == (axis == "z"), told
 
@@ -114,7 +116,8 @@ def test_a_training_of_a_mesh_whose_heading_points_up_says_so(tilted: bool, tmp_
     markers = ", ".join(f"{name}: {vertex}" for name, vertex in marked().items())
     (tmp_path / "m.yaml").write_text(f"markers: {{{markers}}}\nheading: [croup, withers]\n")
     code, _, told = kinegraph(
-        "train", "steering", tmp_path / "mesh.mcap", "--markers", tmp_path / "m.yaml", "-o", tmp_path / "m.npz", "--method", "straight"
+        "motion", "train", "steering", tmp_path / "mesh.mcap", "--markers", tmp_path / "m.yaml", "-o", tmp_path / "m.npz",
+        "--method", "straight",
     )  # fmt: skip
     assert code == 0 and (tmp_path / "m.npz").exists(), told
     assert ("mesh.mcap: the heading's markers lie above one another" in told) == tilted, told

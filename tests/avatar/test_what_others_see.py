@@ -56,7 +56,7 @@ def test_limbs_point_where_a_real_kinects_do(name: str, tmp_path: Path) -> None:
     rows = np.column_stack([z["t_us"] / 1e3, z["joints_m"].reshape(len(z["t_us"]), -1)])[:600]
     np.savetxt(tmp_path / "gesture.csv", rows, delimiter=",", fmt="%.6f")
     names = ("--kinect", "-o", "gesture.mcap", "--stream", "performer.markers=gesture")
-    command(tmp_path, "import", "gesture.csv", *names)
+    command(tmp_path, "files", "import", "gesture.csv", *names)
     command(tmp_path, "replay", CONFIGS / "avatar_markers.yaml", "gesture.mcap", "-o", "run")
     with Recording.open(tmp_path / "run") as recording:
         markers, poses = (recording.read(stream)[1] for stream in ("performer.markers", "body.pose"))

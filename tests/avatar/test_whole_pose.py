@@ -278,7 +278,9 @@ def test_a_model_is_trained_by_the_command_and_corrects_what_markers_do_not_show
     series = [Series("walk", spec, grid(RATE, N), twisted)]
     write_recording(tmp_path / "walk.mcap", series, {})
     with pytest.raises(SystemExit) as ended:
-        cli.call("train", ["pose", str(tmp_path / "walk.mcap"), "-o", str(tmp_path / "pose.npz"), "--centres", "50"])
+        cli.call(
+            "motion train pose", [str(tmp_path / "walk.mcap"), "-o", str(tmp_path / "pose.npz"), "--centres", "50"]
+        )
     assert not ended.value.code
     hand = 3 + 4 * BONES.index("LeftHand")
     with_model, _, quality = played(marks(), model=tmp_path / "pose.npz", calibrate_s=0.0)

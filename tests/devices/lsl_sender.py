@@ -21,11 +21,11 @@ def can_be_elsewhere() -> bool:
 
 
 class Process:
-    """`kinegraph simulate lsl` with these settings, once it says that it is there; with another clock on a `host`, if one is named."""
+    """`kinegraph dev simulate lsl` with these settings, once it says that it is there; with another clock on a `host`, if one is named."""
 
     def __init__(self, host: str = "", **settings: Any) -> None:
         given = [f"{name}={value}" for name, value in settings.items()]
-        command = [sys.executable, "-m", "kinegraph", "simulate", "lsl", *given, "--for", "60"]
+        command = [sys.executable, "-m", "kinegraph", "dev", "simulate", "lsl", *given, "--for", "60"]
         if host:
             command = [*ELSEWHERE, "sh", "-c", 'hostname "$0" && exec "$@"', host, *command]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -109,8 +109,8 @@ def test_the_check_shows_impedances_before_rest_and_contraction(kinegraph: Comma
     with SimulatedCyton(impedances_kohm=(8.0, 9.0, 12.0, 900.0)).serving() as port:
         Path("g.yaml").write_text(graph % (port, f"{pairs}, {rest}"))
         times = ("--rest", "0-2", "--contraction", "2-5", "--emg", "muscles")
-        code, shown, said = kinegraph("check-electrodes", "g.yaml", *times)
+        code, shown, said = kinegraph("emg", "check-electrodes", "g.yaml", *times)
         assert code == 1 and "keep still" in said and "SO impedance" in said, (shown, said)
         assert "impedance (kOhm)" in shown and "8/9" in shown and "12/90" in shown
-        code, shown, said = kinegraph("check-electrodes", "g.yaml", *times, "--no-impedance")
+        code, shown, said = kinegraph("emg", "check-electrodes", "g.yaml", *times, "--no-impedance")
         assert code == 0 and "impedance" not in shown + said, (shown, said)

@@ -1,4 +1,4 @@
-"""`kinegraph new device`: what comes from a simulated device becomes a declaration that reads it, through the command line."""
+"""`kinegraph dev new device`: what comes from a simulated device becomes a declaration that reads it, through the command line."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_nothing_is_proposed_for_what_has_no_frames(noise: bytes) -> None:
 @pytest.mark.parametrize("name", ["sum", "cobs"])
 def test_a_declaration_is_written_and_reads_the_device(kinegraph: Command, tmp_path: Path, name: str) -> None:
     with serving_frames(BinaryModel(DEVICES[name])) as port:
-        code, _, complaint = kinegraph("new", "device", port, "--for", "4", "-o", "board.yaml")
+        code, _, complaint = kinegraph("dev", "new", "device", port, "--for", "4", "-o", "board.yaml")
         assert code == 0, complaint
         text = (tmp_path / "board.yaml").read_text()
         assert "rate_hz: 100" in text and f"checksum: {DEVICES[name].frames[0].checksum}" in text, text
@@ -77,7 +77,7 @@ def test_a_declaration_is_written_and_reads_the_device(kinegraph: Command, tmp_p
 def test_lines_are_proposed_with_their_time_and_counter(kinegraph: Command, tmp_path: Path) -> None:
     lines = SimulatedAsciiLines(columns=("t", "n", "a"), time="t", counter="n", rate_hz=100.0)
     with lines.serving() as port:
-        code, printed, complaint = kinegraph("new", "device", port, "--for", "3")
+        code, printed, complaint = kinegraph("dev", "new", "device", port, "--for", "3")
     assert code == 0, complaint
     for line in ("use: devices.lines.AsciiLines", "counter: x2", "time: x1", "time_unit: us", "rate_hz: 100"):
         assert line in printed
@@ -108,11 +108,11 @@ def talking(seed: int) -> Iterator[str]:
 
 def test_what_cannot_be_told_is_shown(kinegraph: Command) -> None:
     with talking(3) as port:
-        code, _, complaint = kinegraph("new", "device", port, "--for", "1")
+        code, _, complaint = kinegraph("dev", "new", "device", port, "--for", "1")
     assert code == 3 and "no frames of one length and no lines of numbers in" in " ".join(complaint.split())
 
 
 def test_a_graph_is_never_overwritten(kinegraph: Command, tmp_path: Path) -> None:
     (tmp_path / "board.yaml").write_text("mine")
-    code, _, complaint = kinegraph("new", "device", "/dev/nowhere", "-o", "board.yaml")
+    code, _, complaint = kinegraph("dev", "new", "device", "/dev/nowhere", "-o", "board.yaml")
     assert code == 2 and "board.yaml: already exists" in complaint

@@ -200,7 +200,7 @@ def kinegraph(*arguments: str, timeout_s: float = 120.0) -> subprocess.Completed
 
 
 def test_the_command_prints_an_address_that_can_be_opened() -> None:
-    command = [sys.executable, "-m", "kinegraph", "simulate", "cyton", "daisy=true", "lose=0.1", "seed=2"]
+    command = [sys.executable, "-m", "kinegraph", "dev", "simulate", "cyton", "daisy=true", "lose=0.1", "seed=2"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout
         address = process.stdout.readline().strip()
@@ -227,12 +227,12 @@ def test_the_command_prints_an_address_that_can_be_opened() -> None:
     ],
 )
 def test_the_command_tells_what_is_wrong(arguments: list[str], told: str) -> None:
-    done = kinegraph("simulate", *arguments)
+    done = kinegraph("dev", "simulate", *arguments)
     assert done.returncode in (2, 3) and told in done.stderr
 
 
 def test_the_command_lists_what_there_is() -> None:
-    assert "cyton" in kinegraph("simulate").stdout
+    assert "cyton" in kinegraph("dev", "simulate").stdout
 
 
 def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:

@@ -105,6 +105,6 @@ def test_arguments_that_cannot_be(kinegraph: Command, made: Path, tmp_path: Path
     refused(kinegraph("run", graph, *QUIET, "-o", "n" * 300), "File name too long")
     refused(kinegraph("replay", graph, made / "s", "--speed", "-1"), "--speed")
     refused(kinegraph("replay", graph, made / "s", "--speak", "nope"), "--speak")
-    refused(kinegraph("try", "no.such.Operator"), "no")
-    refused(kinegraph("schema", "-o", "none/s.json"), "none/s.json cannot be written")
+    refused(kinegraph("dev", "try", "no.such.Operator"), "no")
+    refused(kinegraph("dev", "schema", "-o", "none/s.json"), "none/s.json cannot be written")
     assert [p.name for p in tmp_path.iterdir()] == ["file"] and (tmp_path / "file").read_text() == "x"

@@ -195,6 +195,6 @@ def test_a_module_that_raises_as_it_is_imported_is_told(raised: str, kinegraph: 
     """Also one that would end the program without a word, and with the code of success."""
     (tmp_path / "ending.py").write_text(f"{raised}\n")
     (tmp_path / "g.yaml").write_text("nodes:\n  own: {use: ending.Own}\n")
-    for command in (("check", "g.yaml"), ("run", "g.yaml", *QUIET), ("try", "ending.Own")):
+    for command in (("check", "g.yaml"), ("run", "g.yaml", *QUIET), ("dev", "try", "ending.Own")):
         code, _, said = kinegraph(*command)
         assert code == 2 and "ending could not be imported" in said, said

@@ -59,7 +59,7 @@ stream.cli.main.main()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM that can be heard")
-@pytest.mark.parametrize("command", ["run", "try"])
+@pytest.mark.parametrize("command", ["run", "dev try"])
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_in_the_midst_of_the_compilers_work_is_no_crash(
     sent: signal.Signals, command: str, tmp_path: Path
@@ -73,7 +73,7 @@ def test_a_signal_in_the_midst_of_the_compilers_work_is_no_crash(
         [graph, "-o", tmp_path / "run", "--view", "lines"] if command == "run" else ["operators.filters.iir.Lowpass"]
     )
     done = subprocess.run(
-        [sys.executable, "-c", SLOW_LINK, command, *map(str, asked), str(int(sent))],
+        [sys.executable, "-c", SLOW_LINK, *command.split(), *map(str, asked), str(int(sent))],
         env={**os.environ, "KINEGRAPH_CACHE": str(tmp_path / "cold")}, cwd=tmp_path, check=False,
         capture_output=True, text=True, timeout=200,
     )  # fmt: skip

@@ -11,12 +11,8 @@ from tests.support.command_line import Command, refused
 ENTRIES = """[kinegraph.commands]
 weigh = gone_lab.weighing:weigh
 measure = here_lab:measure
-
-[kinegraph.trainings]
-weights = gone_lab.weighing:train
-
-[kinegraph.evaluations]
-weights = here_lab:gone
+motion.train.weights = gone_lab.weighing:train
+motion.weights = here_lab:gone
 
 [kinegraph.views]
 scales = gone_lab.weighing:View
@@ -44,7 +40,7 @@ def test_help_names_what_is_gone_and_lists_the_other_commands(kinegraph: Command
     assert code == 0 and "the command weigh (gone_lab.weighing:weigh) cannot be loaded" in out
     assert "if lab-tools has changed since it was installed, install it again" in out
     listed = {line.split()[0] for line in out.splitlines() if line.startswith("  ")}
-    assert {"run", "measure", "train"} <= listed and "weigh" not in listed
+    assert {"run", "measure", "motion"} <= listed and "weigh" not in listed
     assert "Measure something." in out
 
 
@@ -56,16 +52,8 @@ def test_a_command_or_view_that_is_gone_is_refused_by_name(kinegraph: Command) -
 
 
 @pytest.mark.usefixtures("changed")
-@pytest.mark.parametrize(("group", "kind"), [("train", "training"), ("evaluate", "evaluation")])
-def test_a_gone_kind_of_training_or_evaluation_does_not_take_the_others_along(
-    kinegraph: Command, monkeypatch: pytest.MonkeyPatch, group: str, kind: str
-) -> None:
-    import sys
-
-    from kinegraph.operators import commands
-
-    for place, name in ((sys.modules, f"kinegraph.operators.commands.{group}"), (vars(commands), group)):
-        monkeypatch.delitem(place, name, raising=False)
-    code, out, told = kinegraph(group, "--help")
-    assert code == 0 and f"the {kind} weights (" in told and "cannot be loaded" in told
-    assert {"train": "steering", "evaluate": "segmentation"}[group] in out
+@pytest.mark.parametrize(("group", "other"), [("motion", "label"), ("motion train", "steering")])
+def test_a_command_that_is_gone_does_not_take_its_group_along(kinegraph: Command, group: str, other: str) -> None:
+    code, out, _ = kinegraph(*group.split(), "--help")
+    assert code == 0 and f"the command {group.replace(' ', '.')}.weights (" in out and "cannot be loaded" in out
+    assert f"  {other} " in out and "  weights " not in out

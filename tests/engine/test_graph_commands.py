@@ -1,4 +1,4 @@
-"""check, draw, parts and schema; the schema is held against what `load` accepts."""
+"""check, draw, components and schema; the schema is held against what `load` accepts."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import jsonschema
 import pytest
 
 from kinegraph.stream.cli.commands.check import _narrow, check
+from kinegraph.stream.cli.commands.components import components, reflowed
 from kinegraph.stream.cli.commands.draw import DrawingFormat, draw
-from kinegraph.stream.cli.commands.parts import parts, reflowed
 from kinegraph.stream.cli.commands.schema import schema
 from kinegraph.stream.errors import GraphError, KinegraphError
 from kinegraph.stream.graph.components import catalogue
@@ -198,24 +198,26 @@ def test_every_config_loads(path: Path) -> None:
 
 
 def test_parts_lists_what_there_is_and_shows_one(capsys: pytest.CaptureFixture[str]) -> None:
-    parts()
+    components()
     listed = capsys.readouterr().out
     assert all(path in listed for path in catalogue()[0])
-    parts("operators.filters.iir.Lowpass")
+    components("operators.filters.iir.Lowpass")
     shown = " ".join(capsys.readouterr().out.split())
     assert (
         "inputs in outputs out" in shown and "cutoff_hz (must be given) number > 0" in shown and "zero | first" in shown
     )
     assert "order 4 integer >= 1 <= 20" in shown and "reset_gap_s 0.1 number >= 0" in shown
-    parts("operators.filters.channels.Select")
+    components("operators.filters.channels.Select")
     shown = " ".join(capsys.readouterr().out.split())
     assert "channels array names" in shown and "rename object new names" in shown  # an empty default is not shown
-    parts("graph_parts.Cycles")
+    components("graph_parts.Cycles")
     assert "graph_parts.Cycles (operator)" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(KinegraphError, match="no component matches 'Lowpas5'; did you mean 'Lowpass'"):
-        parts("Lowpas5")
-    with pytest.raises(KinegraphError, match=r"no component matches 'Xyz'; `kinegraph parts` lists all components$"):
-        parts("Xyz")
+        components("Lowpas5")
+    with pytest.raises(
+        KinegraphError, match=r"no component matches 'Xyz'; `kinegraph components` lists all components$"
+    ):
+        components("Xyz")
 
 
 def test_a_description_is_laid_out_again_for_a_narrow_terminal() -> None:

@@ -55,7 +55,7 @@ def test_another_kind_shape_or_array_is_refused(path: Path) -> None:
         read_model(path, "pose").array("w", (3, None))
     with pytest.raises(ModelError, match="no array 'v'"):
         read_model(path, "pose").array("v", (3,))
-    with pytest.raises(ModelError, match="no such file; make a model with kinegraph train pose"):
+    with pytest.raises(ModelError, match="no such file; make a model with kinegraph motion train pose"):
         read_model(path.with_name("none"), "pose")
 
 

@@ -58,7 +58,7 @@ def hostile(tmp_path: Path) -> Path:
         ("info",),
         ("info", "--json"),
         ("info", "--all"),
-        ("export", "-o", "out.xdf"),
+        ("files", "export", "-o", "out.xdf"),
         ("recover",),
         ("recover", "-o", "\x1b[31m"),
     ],
@@ -110,7 +110,7 @@ def test_no_text_is_a_formula(tmp_path: Path, text: str) -> None:
 
 
 def test_exported_tables_hold_no_formula(kinegraph: Command, hostile: Path, tmp_path: Path) -> None:
-    assert kinegraph("export", hostile, "-o", "tables", "--stream", "annotations", "--stream", "=1+1")[0] == 0
+    assert kinegraph("files", "export", hostile, "-o", "tables", "--stream", "annotations", "--stream", "=1+1")[0] == 0
     for table in (tmp_path / "tables").iterdir():
         for row in csv.reader(table.read_text().splitlines()):
             assert not [cell for cell in row if cell.startswith("=")]

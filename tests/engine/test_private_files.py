@@ -26,8 +26,8 @@ def test_everything_that_commands_write_is_private(tmp_path: Path, made: Path) -
     (tmp_path / "graph.yaml").write_text(listing)
     for arguments in (
         ("run", "graph.yaml", "-o", "s/deep", *QUIET),
-        ("export", made / "s", "-o", "tables/deep"),
-        ("export", made / "s", "-o", "one/x.xdf"),
+        ("files", "export", made / "s", "-o", "tables/deep"),
+        ("files", "export", made / "s", "-o", "one/x.xdf"),
         ("recover", made / "s", "-o", "recovered/x.mcap"),
         ("replay", graph, made / "s", "-o", "replayed/x.mcap", "-q"),
     ):

@@ -38,7 +38,7 @@ TABLES: list[tuple[str | bytes, str]] = [
 @pytest.mark.parametrize(("text", "words"), TABLES, ids=[words for _, words in TABLES])
 def test_a_table_that_cannot_be(text: str | bytes, words: str, kinegraph: Command, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
-    told = kinegraph("import", "t.csv", "-o", "t.mcap")
+    told = kinegraph("files", "import", "t.csv", "-o", "t.mcap")
     refused(told, words)
     assert not told[2].startswith("\n"), "no trace of a progress bar that nobody can see"
     assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
@@ -64,7 +64,7 @@ WISHES = [
 @pytest.mark.parametrize(("options", "words"), WISHES, ids=[words for _, words in WISHES])
 def test_streams_that_cannot_be_made(options: list[str], words: str, kinegraph: Command, tmp_path: Path) -> None:
     np.savez(tmp_path / "t.npz", a=np.arange(50.0), texts=np.array(["x"] * 50), hollow=np.zeros((50, 0)))
-    refused(kinegraph("import", "t.npz", "-o", "t.mcap", *options), words)
+    refused(kinegraph("files", "import", "t.npz", "-o", "t.mcap", *options), words)
     assert [p.name for p in tmp_path.iterdir()] == ["t.npz"]
 
 
@@ -72,41 +72,45 @@ def test_files_that_are_not_what_their_names_say(kinegraph: Command, tmp_path: P
     junk = random.Random(1).randbytes(3000)
     for name, data in (("e.npz", b""), ("g.npz", junk), ("e.xdf", b""), ("g.xdf", junk), ("h.xdf", b"XDF:" + junk)):
         (tmp_path / name).write_bytes(data)
-        refused(kinegraph("import", name, "-o", "t.mcap", "--stream", "x=a", "--rate", "1"), name)
+        refused(kinegraph("files", "import", name, "-o", "t.mcap", "--stream", "x=a", "--rate", "1"), name)
     np.savez(tmp_path / "o.npz", a=np.array([{"a": 1}], object))
-    refused(kinegraph("import", "o.npz", "-o", "t.mcap", "--stream", "x=a"), "array 'a'", "Object arrays")
+    refused(kinegraph("files", "import", "o.npz", "-o", "t.mcap", "--stream", "x=a"), "array 'a'", "Object arrays")
     (tmp_path / "d.csv").mkdir()
-    refused(kinegraph("import", "d.csv", "-o", "t.mcap"), "Is a directory")
+    refused(kinegraph("files", "import", "d.csv", "-o", "t.mcap"), "Is a directory")
     (tmp_path / "a").mkdir()
     for place in (tmp_path, tmp_path / "a"):
         (place / "t.csv").write_text("time,a\n0,1\n1,2\n2,3\n")
-    refused(kinegraph("import", "t.csv", "a/t.csv", "-o", "t.mcap"), "has the same name; rename one")
+    refused(kinegraph("files", "import", "t.csv", "a/t.csv", "-o", "t.mcap"), "has the same name; rename one")
     (tmp_path / "f.mcap").mkdir()
-    refused(kinegraph("import", "t.csv", "-o", "f.mcap"), "f.mcap: is a folder")
-    refused(kinegraph("import", "t.csv", "-o", "t.csv/t.mcap"), "t.csv: is a file")
-    refused(kinegraph("import", "t.csv", "-o", "t"), "must end in .mcap")
+    refused(kinegraph("files", "import", "t.csv", "-o", "f.mcap"), "f.mcap: is a folder")
+    refused(kinegraph("files", "import", "t.csv", "-o", "t.csv/t.mcap"), "t.csv: is a file")
+    refused(kinegraph("files", "import", "t.csv", "-o", "t"), "must end in .mcap")
     assert not (tmp_path / "t.mcap").exists()
 
 
 def test_what_is_there_is_not_replaced(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     whole = made / "s"
-    assert kinegraph("export", whole, "-o", "tables", "--stream", "rect")[0] == 0
+    assert kinegraph("files", "export", whole, "-o", "tables", "--stream", "rect")[0] == 0
     table = tmp_path / "tables" / "rect.csv"
     table.write_text("mine")
-    refused(kinegraph("export", whole, "-o", "tables", "--stream", "rect"), "rect.csv: already exists", "--overwrite")
+    refused(
+        kinegraph("files", "export", whole, "-o", "tables", "--stream", "rect"),
+        "rect.csv: already exists",
+        "--overwrite",
+    )
     assert table.read_text() == "mine"
-    assert kinegraph("export", whole, "-o", "tables", "--stream", "rect", "--overwrite")[0] == 0
+    assert kinegraph("files", "export", whole, "-o", "tables", "--stream", "rect", "--overwrite")[0] == 0
     assert len(table.read_text()) > 1000
     (tmp_path / "x.xdf").write_text("mine")
-    refused(kinegraph("export", whole, "-o", "x.xdf", "--format", "xdf"), "x.xdf: already exists")
-    refused(kinegraph("export", whole, "-o", "x.xdf"), "x.xdf: already exists")
+    refused(kinegraph("files", "export", whole, "-o", "x.xdf", "--format", "xdf"), "x.xdf: already exists")
+    refused(kinegraph("files", "export", whole, "-o", "x.xdf"), "x.xdf: already exists")
     (tmp_path / "rows").write_text("mine")
-    refused(kinegraph("export", whole, "-o", "rows"), "rows: is a file; name a folder")
-    assert kinegraph("import", table, "-o", "t.mcap")[0] == 0
+    refused(kinegraph("files", "export", whole, "-o", "rows"), "rows: is a file; name a folder")
+    assert kinegraph("files", "import", table, "-o", "t.mcap")[0] == 0
     before = (tmp_path / "t.mcap").read_bytes()
-    refused(kinegraph("import", table, "-o", "t.mcap"), "t.mcap: already holds a recording", "--overwrite")
+    refused(kinegraph("files", "import", table, "-o", "t.mcap"), "t.mcap: already holds a recording", "--overwrite")
     assert (tmp_path / "t.mcap").read_bytes() == before
-    assert kinegraph("import", table, "-o", "t.mcap", "--unit", "mV", "--overwrite")[0] == 0
+    assert kinegraph("files", "import", table, "-o", "t.mcap", "--unit", "mV", "--overwrite")[0] == 0
     assert "mV" in kinegraph("info", "t.mcap")[1]
     refused(kinegraph("recover", whole, "-o", "t.mcap"), "already holds a recording")
     refused(kinegraph("replay", made / "graph.yaml", whole, "-o", "t.mcap"), "already holds a recording")
@@ -114,7 +118,7 @@ def test_what_is_there_is_not_replaced(kinegraph: Command, made: Path, tmp_path:
 
 def test_nothing_is_verified_where_there_is_nothing_to_compare(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("time,a [uV],b\n0,1,1\n1,2,1\n2,3,1\n")
-    code, said, _ = kinegraph("import", "t.csv", "-o", "t.mcap", "--stream", "board.emg=a,b", "--time", "time")
+    code, said, _ = kinegraph("files", "import", "t.csv", "-o", "t.mcap", "--stream", "board.emg=a,b", "--time", "time")
     assert code == 0 and "in uV, no unit" in said
     refused(kinegraph("replay", made / "graph.yaml", "t.mcap", "--verify"), "t.mcap holds no output", "`record`")
     (tmp_path / "less.yaml").write_text(BOARD % 2)
@@ -125,9 +129,9 @@ def test_nothing_is_verified_where_there_is_nothing_to_compare(kinegraph: Comman
 def test_streams_that_would_become_one_table_are_kept_apart(kinegraph: Command, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("time,a\n0,1\n1,2\n2,3\n")
     both = ("--stream", "x/y=a", "--stream", "x_y=a", "--time", "time")
-    assert kinegraph("import", "t.csv", "-o", "t.mcap", *both)[0] == 0
+    assert kinegraph("files", "import", "t.csv", "-o", "t.mcap", *both)[0] == 0
     assert (
-        kinegraph("export", "t.mcap", "-o", "out")[1]
+        kinegraph("files", "export", "t.mcap", "-o", "out")[1]
         == "x/y: 3 samples to out/x_y.csv\nx_y: 3 samples to out/x_y_2.csv\n"
     )
 
@@ -158,8 +162,11 @@ def test_killed_in_the_middle_no_half_file_bears_the_name(
 ) -> None:
     (tmp_path / "t.csv").write_text("time,a\n" + "".join(f"{k / 10},{k}\n" for k in range(20_000)))
     arguments, final = {
-        "import": (["import", "t.csv", "-o", "t.mcap"], tmp_path / "t.mcap"),
-        "export": (["export", str(made / "s"), "--stream", "rect", "-o", "out"], tmp_path / "out" / "rect.csv"),
+        "import": (["files", "import", "t.csv", "-o", "t.mcap"], tmp_path / "t.mcap"),
+        "export": (
+            ["files", "export", str(made / "s"), "--stream", "rect", "-o", "out"],
+            tmp_path / "out" / "rect.csv",
+        ),
     }[command]
     process = subprocess.Popen([sys.executable, "-c", SLOW, *arguments], stderr=subprocess.DEVNULL)
     wait_for(lambda: any(final.parent.glob(".*.draft*")) or process.poll() is not None)

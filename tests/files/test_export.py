@@ -74,7 +74,7 @@ def mixed(
 
 def test_csv_export_keeps_every_digit_and_comes_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = mixed(tmp_path / "r.mcap")
-    kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "out")
+    kinegraph("files", "export", tmp_path / "r.mcap", "-o", tmp_path / "out")
     assert "0 s in the tables is 2023-11-14T22:13:20.000000005Z" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "out").iterdir()} == {f"{name}.csv" for name in truth if name != "depth"}
     lines = (tmp_path / "out" / "emg.csv").read_text().splitlines()
@@ -84,7 +84,7 @@ def test_csv_export_keeps_every_digit_and_comes_back(tmp_path: Path, capsys: pyt
     with imported(tmp_path, tmp_path / "out" / "emg.csv", "--start", "2023-11-14T22:13:20") as back:
         time, data = back.read("emg")
         assert np.array_equal(data.astype("f4"), truth["emg"][1]) and np.array_equal(time + 5, truth["emg"][0])
-    kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "iso", "--stream", "steps", "--time", "iso")
+    kinegraph("files", "export", tmp_path / "r.mcap", "-o", tmp_path / "iso", "--stream", "steps", "--time", "iso")
     assert (tmp_path / "iso" / "steps.csv").read_text().splitlines()[
         1
     ] == "2023-11-14T22:13:20.000000005Z,2023-11-14T22:13:20.000000005Z,0"
@@ -92,9 +92,9 @@ def test_csv_export_keeps_every_digit_and_comes_back(tmp_path: Path, capsys: pyt
     assert rows[0] == ["time [s]", "onset [s]", "lost"]
     assert [row[1] for row in rows[1:]] == [f"{k / 10:.9f}" for k in range(5)], "seconds from the recording's start"
     with pytest.raises(RecordingError, match="stream 'depth': samples of 60 x 80 numbers do not fit"):
-        cli.call("export", [str(tmp_path / "r.mcap"), "--stream", "depth"])
+        cli.call("files export", [str(tmp_path / "r.mcap"), "--stream", "depth"])
     with pytest.raises(RecordingError, match="no stream 'emgs' was recorded; did you mean 'emg'"):
-        cli.call("export", [str(tmp_path / "r.mcap"), "--stream", "emgs"])
+        cli.call("files export", [str(tmp_path / "r.mcap"), "--stream", "emgs"])
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "matlab", "xlsx", "xdf", "foxglove"])
@@ -104,7 +104,7 @@ def test_a_name_of_any_length_keeps_no_stream_from_its_export(tmp_path: Path, ki
     write_recording(
         tmp_path / "r.mcap", [Series(name, spec, grid(100.0, 9), np.ones((9, 1))) for name in names], {"graph": ""}
     )
-    kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "out", "--format", kind)
+    kinegraph("files", "export", tmp_path / "r.mcap", "-o", tmp_path / "out", "--format", kind)
     if (tmp_path / "out").is_dir():
         assert len(list((tmp_path / "out").iterdir())) == len(names)
 
@@ -112,13 +112,13 @@ def test_a_name_of_any_length_keeps_no_stream_from_its_export(tmp_path: Path, ki
 def test_csv_export_wants_a_folder(tmp_path: Path) -> None:
     mixed(tmp_path / "r.mcap")
     with pytest.raises(RecordingError, match=r"a table of its own; name a folder, as in -o emg$"):
-        kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "emg.csv")
+        kinegraph("files", "export", tmp_path / "r.mcap", "-o", tmp_path / "emg.csv")
     assert not (tmp_path / "emg.csv").exists()
 
 
 def test_xdf_export_is_read_by_pyxdf(tmp_path: Path) -> None:
     truth = mixed(tmp_path / "r.mcap")
-    kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf")
+    kinegraph("files", "export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf")
     streams, head = pyxdf.load_xdf(str(tmp_path / "r.xdf"))
     found = {s["info"]["name"][0]: s for s in streams}
     assert head["info"]["datetime"][0].startswith("2023-11-14T22:13:20") and found.keys() == truth.keys() - {"depth"}
@@ -140,7 +140,7 @@ def test_xdf_export_is_read_by_pyxdf(tmp_path: Path) -> None:
 
 def test_xdf_there_and_back(tmp_path: Path) -> None:
     truth = mixed(tmp_path / "r.mcap")
-    kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf")
+    kinegraph("files", "export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf")
     with imported(tmp_path, tmp_path / "r.xdf") as back:
         for name in back.streams:
             time, data = back.read(name)
@@ -159,7 +159,7 @@ def test_xdf_there_and_back(tmp_path: Path) -> None:
 def test_string_markers_of_other_programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     truth = mixed(tmp_path / "r.mcap")
     monkeypatch.setattr("kinegraph.devices.formats.xdf.writer.json", SimpleNamespace(dumps=lambda _: ""))
-    kinegraph("export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf", "--stream", "notes")
+    kinegraph("files", "export", tmp_path / "r.mcap", "-o", tmp_path / "r.xdf", "--format", "xdf", "--stream", "notes")
     with imported(tmp_path, tmp_path / "r.xdf") as recording:
         notes = recording.read("notes")[1]
         assert notes.dtype.names == ("onset", "text1", "text2", "text3", "text4")
@@ -172,7 +172,7 @@ def test_a_real_recording_through_xdf(tmp_path: Path) -> None:
     file = real_file("emg/emg_santuz_tw12.npz")
     with imported(tmp_path, file, "--stream", "emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV"):
         pass
-    kinegraph("export", tmp_path / "made.mcap", "-o", tmp_path / "emg.xdf", "--format", "xdf")
+    kinegraph("files", "export", tmp_path / "made.mcap", "-o", tmp_path / "emg.xdf", "--format", "xdf")
     with imported(tmp_path / "back", tmp_path / "emg.xdf") as back:
         assert np.array_equal(back.read("emg")[1], arrays(file)["emg_uV"])
         assert back.streams["emg"].spec.channels == tuple(arrays(file)["names"])

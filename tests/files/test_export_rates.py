@@ -44,7 +44,7 @@ def test_stamps_within_half_a_period_are_exported_at_the_rate_that_fits_them(
     n = 20_000
     data = noise(n)
     file = recorded(tmp_path, stamps(n, true_hz, 0.4), data)
-    kinegraph("export", file, "-o", tmp_path / "live.edf")
+    kinegraph("files", "export", file, "-o", tmp_path / "live.edf")
     said = " ".join(capsys.readouterr().out.split())
     told = re.search(
         r"written at (.*) Hz, the rate that fits its stamps \(nominal 1000 Hz\); a stamp is at most 0.4 periods", said
@@ -55,11 +55,11 @@ def test_stamps_within_half_a_period_are_exported_at_the_rate_that_fits_them(
     assert abs(signal.sampling_frequency / true_hz - 1) * n < 0.5, "no sample is half a period from its stamp"
     assert np.abs(signal.data[:n] - data[:, 0]).max() < 0.02
     assert {note.text for note in edf.annotations if note.onset < n / true_hz - 1e-3} == set(), "nothing is missing"
-    kinegraph("export", file, "-o", tmp_path / "live.c3d")
+    kinegraph("files", "export", file, "-o", tmp_path / "live.c3d")
     c3d = ezc3d.c3d(str(tmp_path / "live.c3d"))
     assert c3d["parameters"]["ANALOG"]["RATE"]["value"][0] == pytest.approx(true_hz, rel=1e-6)
     assert np.abs(c3d["data"]["analogs"][0, 0] - data[:, 0]).max() < 0.001
-    kinegraph("export", file, "-o", tmp_path / "study", "--format", "bids")
+    kinegraph("files", "export", file, "-o", tmp_path / "study", "--format", "bids")
     about = json.loads((tmp_path / "study/sub-01/emg/sub-01_task-recording_emg.json").read_text())
     assert about["SamplingFrequency"] == pytest.approx(true_hz, rel=1e-5)
 
@@ -70,7 +70,7 @@ def test_what_was_lost_stays_a_gap_at_a_fitted_rate(tmp_path: Path) -> None:
     lost = np.zeros(len(keep), np.int64)
     lost[7_000] = 10
     recorded(tmp_path, stamps(n, 999.95, 0.4)[keep], noise(n)[keep], lost)
-    kinegraph("export", tmp_path / "live.mcap", "-o", tmp_path / "live.edf")
+    kinegraph("files", "export", tmp_path / "live.mcap", "-o", tmp_path / "live.edf")
     edf = edfio.read_edf(tmp_path / "live.edf")
     missing = [note for note in edf.annotations if note.text == "missing TA"]
     assert missing[0].onset == pytest.approx(7.0, abs=0.002) and missing[0].duration == pytest.approx(0.01, abs=1e-5)
@@ -92,9 +92,17 @@ def test_other_stamps_are_refused_with_the_way_out_and_interpolated_on_request(
         with pytest.raises(
             RecordingError, match=r"periods off those of samples at .* interpolate it at 1000 Hz with --resample"
         ):
-            kinegraph("export", file, "-o", tmp_path / name, *(["--format", "bids"] if name == "study" else []))
+            kinegraph(
+                "files", "export", file, "-o", tmp_path / name, *(["--format", "bids"] if name == "study" else [])
+            )
         kinegraph(
-            "export", file, "-o", tmp_path / name, "--resample", *(["--format", "bids"] if name == "study" else [])
+            "files",
+            "export",
+            file,
+            "-o",
+            tmp_path / name,
+            "--resample",
+            *(["--format", "bids"] if name == "study" else []),
         )
         assert "emg: resampled to 1000 Hz; its stamps are up to" in capsys.readouterr().out
     edf = edfio.read_edf(tmp_path / "live.edf")
@@ -112,7 +120,7 @@ def test_two_clocks_in_one_file_are_refused_by_name(tmp_path: Path) -> None:
     )
     write_recording(tmp_path / "two.mcap", [one, other], {"graph": ""})
     with pytest.raises(RecordingError, match=r"several \(a 1000.1 Hz, b 999.9 Hz\): choose with --stream"):
-        kinegraph("export", tmp_path / "two.mcap", "-o", tmp_path / "two.edf")
+        kinegraph("files", "export", tmp_path / "two.mcap", "-o", tmp_path / "two.edf")
 
 
 @pytest.mark.parametrize("peak", [0.35000000000000003, 0.1 + 0.2, 1e-7 / 3, 1234.5, 99999.5, 3.3e-5, 1 / 3, 2**-0.5])

@@ -1,4 +1,4 @@
-"""Formats that another package adds to `kinegraph import` and `kinegraph export` by its entry points, tried through the command line."""
+"""Formats that another package adds to `kinegraph files import` and `kinegraph files export` by its entry points."""
 
 from __future__ import annotations
 
@@ -66,12 +66,16 @@ def kinegraph(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 def test_a_format_of_another_package_goes_in_and_out(installed: Path) -> None:
     (installed / "grip.lab").write_text("1 2.5 -3")
-    assert "numbers with blanks between: .lab" in " ".join(kinegraph(installed, "import", "--help").stdout.split())
-    assert "lab: numbers with blanks between" in " ".join(kinegraph(installed, "export", "--help").stdout.split())
-    done = kinegraph(installed, "import", "grip.lab", "-o", "grip.mcap")
+    assert "numbers with blanks between: .lab" in " ".join(
+        kinegraph(installed, "files", "import", "--help").stdout.split()
+    )
+    assert "lab: numbers with blanks between" in " ".join(
+        kinegraph(installed, "files", "export", "--help").stdout.split()
+    )
+    done = kinegraph(installed, "files", "import", "grip.lab", "-o", "grip.mcap")
     assert (done.returncode, done.stdout.startswith("grip: 3 samples")) == (0, True), done.stderr
-    assert kinegraph(installed, "export", "grip.mcap", "-o", "again.lab").returncode == 0
-    assert kinegraph(installed, "export", "grip.mcap", "--format", "lab", "--overwrite").returncode == 0
+    assert kinegraph(installed, "files", "export", "grip.mcap", "-o", "again.lab").returncode == 0
+    assert kinegraph(installed, "files", "export", "grip.mcap", "--format", "lab", "--overwrite").returncode == 0
     texts = [(installed / name).read_text() for name in ("again.lab", "grip.lab")]
     assert texts == ["1.0 2.5 -3.0"] * 2
 
@@ -79,7 +83,7 @@ def test_a_format_of_another_package_goes_in_and_out(installed: Path) -> None:
 def test_several_kinds_of_file_become_one_recording(installed: Path) -> None:
     (installed / "grip.lab").write_text("1 2.5 -3")
     (installed / "emg.csv").write_text("t,TA\n0,1\n0.1,2\n")
-    done = kinegraph(installed, "import", "emg.csv", "grip.lab", "-o", "both.mcap")
+    done = kinegraph(installed, "files", "import", "emg.csv", "grip.lab", "-o", "both.mcap")
     assert done.returncode == 0 and {line.split(":")[0] for line in done.stdout.splitlines()} == {"emg", "grip"}
 
 
@@ -87,11 +91,11 @@ def test_several_kinds_of_file_become_one_recording(installed: Path) -> None:
     ("words", "complaint"),
     [
         (
-            ("import", "grip.xyz", "-o", "a.mcap"),
+            ("files", "import", "grip.xyz", "-o", "a.mcap"),
             "must end in .amc, .anc, .asf, ",
         ),
-        (("import", "gone.lab", "-o", "a.mcap"), "gone.lab: there is no such file"),
-        (("export", "a.mcap", "--format", "labs"), "--format labs: is not one of bdf, bids, "),
+        (("files", "import", "gone.lab", "-o", "a.mcap"), "gone.lab: there is no such file"),
+        (("files", "export", "a.mcap", "--format", "labs"), "--format labs: is not one of bdf, bids, "),
     ],
 )
 def test_what_is_not_known_is_told_with_what_is(installed: Path, words: tuple[str, ...], complaint: str) -> None:
@@ -101,7 +105,7 @@ def test_what_is_not_known_is_told_with_what_is(installed: Path, words: tuple[st
 
 def test_a_package_whose_importer_is_gone_is_named(installed: Path) -> None:
     (installed / "site" / "lab_format-1.0.dist-info" / "entry_points.txt").write_text(ENTRIES.format(importer="GONE"))
-    done = kinegraph(installed, "import", "emg.csv", "-o", "a.mcap")
+    done = kinegraph(installed, "files", "import", "emg.csv", "-o", "a.mcap")
     assert done.returncode == 2 and "the importer lab (lab_format:GONE) cannot be loaded" in " ".join(
         done.stderr.split()
     )

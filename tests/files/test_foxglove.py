@@ -1,4 +1,4 @@
-"""`kinegraph export --format foxglove`: MCAP as its own library reads it, every message as its JSON Schema says, every value kept."""
+"""`kinegraph files export --format foxglove`: MCAP as its own library reads it, every message as its JSON Schema says, every value kept."""
 
 from __future__ import annotations
 

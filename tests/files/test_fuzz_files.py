@@ -90,7 +90,7 @@ def importing(*options: str) -> Reader:
 
         files = [path] if path.suffix != ".amc" else [path, path.with_suffix(".asf")]
         try:
-            call("import", [*map(str, files), "-o", str(path.parent / "out.mcap"), "--overwrite", *options])
+            call("files import", [*map(str, files), "-o", str(path.parent / "out.mcap"), "--overwrite", *options])
         except SystemExit as end:
             assert end.code in (0, None)
 
@@ -171,7 +171,7 @@ def seeds(folder: Path, made: Path) -> dict[str, tuple[bytes, Reader]]:
 
     for suffix in ("xdf",):
         with pytest.raises(SystemExit):
-            call("export", [str(made / "s"), "-o", str(folder / f"x.{suffix}")])
+            call("files export", [str(made / "s"), "-o", str(folder / f"x.{suffix}")])
     from kinegraph.stream.recording.format.paths import parts_of
 
     table = ["--stream", "emg=emg", "--rate", "emg=100"]

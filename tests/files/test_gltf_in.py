@@ -40,7 +40,7 @@ def kinegraph(*words: object) -> None:
 
 def test_an_exported_mesh_comes_back_and_is_trained_on(tmp_path: Path) -> None:
     write_mesh(tmp_path / "walk.glb", topology().faces, np.arange(24) / 24, FRAMES)
-    kinegraph("import", tmp_path / "walk.glb", "-o", tmp_path / "walk.mcap")
+    kinegraph("files", "import", tmp_path / "walk.glb", "-o", tmp_path / "walk.mcap")
     with Recording.open(tmp_path / "walk.mcap") as recording:
         spec, (_, rows) = recording.streams["walk"].spec, recording.read("walk")
     assert spec.rate_hz == 24.0 and spec.meta["mesh"]["topology"] == topology().hash
@@ -48,7 +48,7 @@ def test_an_exported_mesh_comes_back_and_is_trained_on(tmp_path: Path) -> None:
     names = "".join(f"  {name}: {vertex}\n" for name, vertex in marked().items())
     (tmp_path / "markers.yaml").write_text(f"markers:\n{names}")
     words = ("--markers", tmp_path / "markers.yaml", "--method", "parts", "--parts", 6, "-o", tmp_path / "walk.npz")
-    kinegraph("train", "steering", tmp_path / "walk.mcap", *words)
+    kinegraph("motion", "train", "steering", tmp_path / "walk.mcap", *words)
     assert (tmp_path / "walk.npz").is_file()
 
 

@@ -148,11 +148,11 @@ def test_wishes_that_cannot_be(tmp_path: Path) -> None:
     refused(tmp_path, "cannot be read as an NPZ file", tmp_path / "c.npz", "--stream", "s=emg")
     refused(tmp_path, "what kind of file", tmp_path, "--stream", "s=emg")
     with pytest.raises(RecordingError, match=r"must end in \.mcap"):
-        cli.call("import", [str(file), "-o", str(tmp_path / "a.csv")])
+        cli.call("files import", [str(file), "-o", str(tmp_path / "a.csv")])
     with imported(tmp_path, file, "--stream", "s=emg", "--time", "t_s"):
         pass
     with pytest.raises(RecordingError, match="already holds a recording"):
-        cli.call("import", [str(file), "--stream", "s=emg", "--time", "t_s", "-o", str(tmp_path / "made.mcap")])
+        cli.call("files import", [str(file), "--stream", "s=emg", "--time", "t_s", "-o", str(tmp_path / "made.mcap")])
 
 
 def test_regular_times_become_exact_stamps() -> None:

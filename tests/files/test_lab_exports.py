@@ -64,7 +64,7 @@ def walk(tmp_path: Path) -> dict[str, Series]:
 
 
 def export(tmp_path: Path, name: str, *arguments: object) -> Path:
-    kinegraph("export", tmp_path / "walk.mcap", "-o", tmp_path / name, *arguments)
+    kinegraph("files", "export", tmp_path / "walk.mcap", "-o", tmp_path / name, *arguments)
     return tmp_path / name
 
 

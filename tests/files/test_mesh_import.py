@@ -36,7 +36,7 @@ def test_a_file_a_frame_becomes_a_recording_of_the_same_mesh(write, suffix: str,
     pytest.importorskip("trimesh", reason="trimesh is not installed (extra mesh)")
     files = [write(tmp_path / f"walk{k}.{suffix}", points, FACES) for k, points in enumerate(FRAMES)]
     with pytest.raises(SystemExit) as ended:
-        cli.call("import", [*map(str, files), "--rate", "24", "-o", str(tmp_path / "walk.mcap")])
+        cli.call("files import", [*map(str, files), "--rate", "24", "-o", str(tmp_path / "walk.mcap")])
     assert not ended.value.code
     with Recording.open(tmp_path / "walk.mcap") as recording:
         spec, (_, rows) = recording.streams["walk0"].spec, recording.read("walk0")

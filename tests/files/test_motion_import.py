@@ -391,7 +391,7 @@ def test_kinect_tables_with_frame_numbers(tmp_path):
     frames, x = np.array([190, 194, 196, 198, 206]), np.random.default_rng(3).normal(size=(5, 20, 3)).round(4)
     lines = [f"{n}  " + " ".join(map(str, rows.ravel())) for n, rows in zip(frames, x, strict=True)]
     path = written(tmp_path, "joints.txt", "\n".join(lines))
-    kinegraph("import", path, "--kinect", "--rate", "60", "-o", tmp_path / "one.mcap")
+    kinegraph("files", "import", path, "--kinect", "--rate", "60", "-o", tmp_path / "one.mcap")
     with Recording.open(tmp_path / "one.mcap") as recording:
         time, data = recording.read("joints")
         assert recording.streams["joints"].lost == 1 + 3 and recording.streams["joints"].spec.channels == ONE
@@ -435,15 +435,17 @@ def test_the_command_makes_one_recording_of_all_kinds(tmp_path):
     written(tmp_path, "a_01.amc", AMC)
     written(tmp_path, "k.csv", "t_ms,a_x,a_y,a_z,b_x,b_y,b_z\n0,1,2,3,4,5,6\n33,1,2,3,4,5,6\n")
     files = [tmp_path / name for name in ("walk.bvh", "a.asf", "a_01.amc", "k.csv")]
-    kinegraph("import", *files, "--kinect", "--unit", "walk=m", "--meta", "k:person=S1", "-o", tmp_path / "all.mcap")
+    kinegraph(
+        "files", "import", *files, "--kinect", "--unit", "walk=m", "--meta", "k:person=S1", "-o", tmp_path / "all.mcap"
+    )
     with Recording.open(tmp_path / "all.mcap") as recording:
         specs = {name: stream.spec for name, stream in recording.streams.items()}
     assert list(specs) == ["walk", "walk.angles", "walk.pose", "a_01", "a_01.angles", "a_01.pose", "k"]
     assert specs["walk"].units == ("m",) and specs["a_01"].rate_hz == 120.0 and specs["k"].meta == {"person": "S1"}
     with pytest.raises(RecordingError, match="read with its skeleton"):
-        cli.call("import", [str(files[2]), "-o", str(tmp_path / "other.mcap")])
+        cli.call("files import", [str(files[2]), "-o", str(tmp_path / "other.mcap")])
     with pytest.raises(RecordingError, match="does not move"):
-        cli.call("import", [str(files[1]), "-o", str(tmp_path / "other.mcap")])
+        cli.call("files import", [str(files[1]), "-o", str(tmp_path / "other.mcap")])
 
 
 def test_streams_of_motion_files_get_the_names_that_a_graph_wants(tmp_path):
@@ -462,7 +464,7 @@ def test_streams_of_motion_files_get_the_names_that_a_graph_wants(tmp_path):
     )
     said = ("--unit", "mocap.joints=cm", "--scale", "walk=2", "--meta", "lab.markers:who=S1", "--unit", "board.x=V")
     files = [tmp_path / name for name in ("a.csv", "walk.bvh", "gait.c3d")]
-    kinegraph("import", *files, *chosen, *said, "-o", tmp_path / "all.mcap")
+    kinegraph("files", "import", *files, *chosen, *said, "-o", tmp_path / "all.mcap")
     with Recording.open(tmp_path / "all.mcap") as recording:
         specs = {name: stream.spec for name, stream in recording.streams.items()}
     assert set(specs) == {"mocap.joints", "lab.markers", "board.x"}
@@ -486,4 +488,4 @@ def test_streams_of_motion_files_get_the_names_that_a_graph_wants(tmp_path):
 )
 def test_what_is_said_of_motion_files_in_vain_is_refused(tmp_path, said, message):
     with pytest.raises(RecordingError, match=message):
-        cli.call("import", [str(written(tmp_path, "walk.bvh", BVH)), *said, "-o", str(tmp_path / "walk.mcap")])
+        cli.call("files import", [str(written(tmp_path, "walk.bvh", BVH)), *said, "-o", str(tmp_path / "walk.mcap")])

@@ -87,7 +87,7 @@ def test_poses_go_into_a_bvh_file_as_they_come(tmp_path: Path) -> None:
 
 def exported(folder: Path, config: str, stream: str, place: Path, *more: str) -> None:
     run = ("run", config, "--view", "none", "-o", str(folder / "run"), *more)
-    for words in (run, ("export", str(folder / "run"), "--stream", stream, "-o", str(place))):
+    for words in (run, ("files", "export", str(folder / "run"), "--stream", stream, "-o", str(place))):
         done = subprocess.run([KINEGRAPH, *words], capture_output=True, text=True, timeout=280)
         assert done.returncode == 0, done.stderr
 
@@ -105,11 +105,11 @@ def test_a_recorded_pose_is_exported(tmp_path: Path) -> None:
         (("--stream", "someone.pose", "-o", "out.bvh"), "already exists"),
     ):
         done = subprocess.run(
-            [KINEGRAPH, "export", "run", *words], cwd=tmp_path, capture_output=True, text=True, timeout=60
+            [KINEGRAPH, "files", "export", "run", *words], cwd=tmp_path, capture_output=True, text=True, timeout=60
         )
         assert done.returncode != 0 and complaint in done.stderr, done.stderr
     done = subprocess.run(
-        [KINEGRAPH, "export", "run", "-o", "all.glb"], cwd=tmp_path, capture_output=True, text=True, timeout=60
+        [KINEGRAPH, "files", "export", "run", "-o", "all.glb"], cwd=tmp_path, capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 0 and "someone.markers: left out" in done.stderr, done.stderr
     assert gltf_of(tmp_path / "all.glb")[0]["animations"]

@@ -52,7 +52,7 @@ def test_outputs_are_called_as_the_streams_are(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"there is no such recording"):
         RecordedStreams(path=str(tmp_path / "x.mcap"))
     (tmp_path / "w.c3d").write_bytes(b"x")
-    with pytest.raises(ParameterError, match=r"make one of it: kinegraph import .*w.c3d -o w.mcap"):
+    with pytest.raises(ParameterError, match=r"make one of it: kinegraph files import .*w.c3d -o w.mcap"):
         RecordedStreams(path=str(tmp_path / "w.c3d"))
 
 
@@ -84,7 +84,7 @@ def test_beside_a_live_device_it_is_of_the_same_time(kinegraph: Command, tmp_pat
 
 def test_a_first_graph_runs_and_replays(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
     walk(Path("w.mcap"))
-    assert kinegraph("new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
+    assert kinegraph("dev", "new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
     text = Path("w.yaml").read_text()
     assert "channels: [TA, GM]" in text and "touchdown: lab.right_foot_strike" in text and "left" not in text
     assert kinegraph("replay", "w.yaml", "w.mcap", "-o", "out", "-q")[0] == 0
@@ -99,12 +99,12 @@ def test_a_first_graph_runs_and_replays(kinegraph: Command, tmp_path: Path) -> N
     assert kinegraph("run", "s.yaml", "-o", "mine", "--view", "none")[0] == 0
     with Recording.open("mine") as opened:
         assert opened.header["session"] == {"subject": "S01", "speed_m_s": 1.2}
-    assert kinegraph("new", "graph", "w.yaml")[0] == 2
+    assert kinegraph("dev", "new", "graph", "w.yaml")[0] == 2
 
 
 def test_a_first_graph_of_names_that_are_no_identifiers(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
     walk(Path("w.mcap"), analog="MT 01.raw EMG", strike="1st trial")
-    assert kinegraph("new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
+    assert kinegraph("dev", "new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
     text = Path("w.yaml").read_text()
     assert "raw_EMG: MT 01.raw EMG" in text and "file_1st_trial" in text
     assert kinegraph("run", "w.yaml", "-o", "live", "--view", "none")[0] == 0
@@ -126,7 +126,7 @@ def test_a_first_graph_of_two_legs_has_limbs_as_a_dimension_and_one_report(kineg
             name = f"lab.{side}_{label.lower().replace(' ', '_')}"
             series.append(Series(name, contact, onset["onset"].copy(), onset))
     write_recording(Path("w.mcap"), series, {"graph": "", "session": {"subject": "S01"}})
-    assert kinegraph("new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
+    assert kinegraph("dev", "new", "graph", "w.mcap", "-o", "w.yaml")[0] == 0
     text = Path("w.yaml").read_text()
     assert (
         "limbs: {left: L_*, right: R_*}" in text
@@ -149,8 +149,8 @@ def test_a_first_graph_of_two_legs_has_limbs_as_a_dimension_and_one_report(kineg
 @needs_data
 def test_a_real_c3d_from_import_to_the_statistics_of_its_cycles(kinegraph: Command, tmp_path: Path) -> None:  # noqa: F811
     Path("lab.c3d").write_bytes((FILES / "c3d" / "events_8plates.c3d").read_bytes())
-    assert kinegraph("import", "lab.c3d", "-o", "lab.mcap")[0] == 0
-    assert kinegraph("new", "graph", "lab.mcap", "-o", "lab.yaml")[0] == 0
+    assert kinegraph("files", "import", "lab.c3d", "-o", "lab.mcap")[0] == 0
+    assert kinegraph("dev", "new", "graph", "lab.mcap", "-o", "lab.yaml")[0] == 0
     assert kinegraph("replay", "lab.yaml", "lab.mcap", "-o", "out", "-q")[0] == 0
     with Recording.open("out") as opened:
         analog = opened.streams["lab.analog"].spec

@@ -108,7 +108,9 @@ def npz(path: Path, header: bytes, zeros: int) -> None:
 def test_arrays_are_read_within_bounds(tmp_path: Path, shape: str, size: int) -> None:
     head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(117) + b"\n"
     npz(tmp_path / "x.npz", head, size)
-    told = measured("import", "x.npz", "-o", "x.mcap", "--stream", "emg=emg", "--rate", "emg=100", folder=tmp_path)
+    told = measured(
+        "files", "import", "x.npz", "-o", "x.mcap", "--stream", "emg=emg", "--rate", "emg=100", folder=tmp_path
+    )
     assert told.code == 2 and "x.npz" in told.err and "Traceback" not in told.err and told.peak_mb < MOST_MB
 
 
@@ -117,7 +119,7 @@ def test_a_compressed_xdf_file_is_read_within_bounds(tmp_path: Path) -> None:
         file.write(b"XDF:")
         for _ in range(1 << 10):
             file.write(bytes(1 << 20))
-    told = measured("import", "x.xdf", "-o", "x.mcap", folder=tmp_path)
+    told = measured("files", "import", "x.xdf", "-o", "x.mcap", folder=tmp_path)
     assert told.code == 2 and "x.xdf" in told.err and "Traceback" not in told.err and told.peak_mb < MOST_MB
 
 
@@ -138,7 +140,7 @@ def test_a_c3d_file_is_read_within_bounds(tmp_path: Path, name: str, used: int |
             struct.pack_into("<h", data, at + len(group) + 4, value or 0)
             at = data.find(group, at + 1)
     (tmp_path / "x.c3d").write_bytes(data)
-    told = measured("import", "x.c3d", "-o", "x.mcap", folder=tmp_path)
+    told = measured("files", "import", "x.c3d", "-o", "x.mcap", folder=tmp_path)
     assert told.code == 2 and "x.c3d" in told.err and "Traceback" not in told.err
     assert told.peak_mb < MOST_MB
 

@@ -104,7 +104,7 @@ def test_a_recording(kinegraph: Command, tmp_path: Path, fault: str, code: int) 
     with Recorder(tmp_path / "r.mcap", {}, RecordingOptions(), wait=True) as recorder:
         number = recorder.add_stream("board.emg", SPEC, "input")
         recorder.write(number, Chunk(stamps(14000), measured(fault), FOREVER), int(stamps(14000)[-1]), 0)
-    told = kinegraph("check-electrodes", "r.mcap", "--contraction", "5-14")
+    told = kinegraph("emg", "check-electrodes", "r.mcap", "--contraction", "5-14")
     assert told[0] == code and "what to do" in told[1]
     assert not fault or "SO mains hum" in told[2]
 
@@ -116,10 +116,10 @@ def test_a_simulated_session(kinegraph: Command, tmp_path: Path, faults: str, co
         + faults
         + "}\n"
     )
-    told = kinegraph("check-electrodes", "g.yaml")
+    told = kinegraph("emg", "check-electrodes", "g.yaml")
     assert told[0] == code, told
     assert code == 0 or "1 of 13 electrodes need a look: SO mains hum" in told[2]
 
 
 def test_words_that_are_no_times(kinegraph: Command) -> None:
-    assert "such as 0-5" in kinegraph("check-electrodes", "x.mcap", "--rest", "now")[2]
+    assert "such as 0-5" in kinegraph("emg", "check-electrodes", "x.mcap", "--rest", "now")[2]

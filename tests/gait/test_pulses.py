@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinegraph.operators.contacts.commands.pulses import read_pulses
+from kinegraph.operators.contacts.commands.compare_clocks import read_pulses
 from kinegraph.stream.chunk import StreamSpec, grid
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.recording.series import Series, write_recording

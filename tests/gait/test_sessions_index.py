@@ -56,13 +56,13 @@ def test_recordings_of_a_folder_are_listed_and_their_clocks_compared(tmp_path: P
             "--fact",
             "speed_m_s=1.2",
         ]
-        kinegraph("import", tmp_path / f"{name}.csv", "-o", tmp_path / f"{name}.mcap", *stream)
+        kinegraph("files", "import", tmp_path / f"{name}.csv", "-o", tmp_path / f"{name}.mcap", *stream)
     (tmp_path / "broken.mcap").write_bytes(b"no recording")
-    kinegraph("sessions", tmp_path, "-o", tmp_path / "index.csv")
+    kinegraph("emg", "sessions", tmp_path, "-o", tmp_path / "index.csv")
     with (tmp_path / "index.csv").open(newline="") as file:
         rows = {row["session"]: row for row in csv.DictReader(file)}
     assert rows["a.mcap"]["subject"] == "S01" and "speed_m_s 1.2" in rows["a.mcap"]["facts"]
     assert float(rows["a.mcap"]["length (s)"]) > 10 and "cannot be read" in rows["broken.mcap"]["facts"]
-    assert "b.mcap" not in kinegraph("sessions", tmp_path, "--subject", "S01")
-    told = kinegraph("pulses", tmp_path / "a.mcap", tmp_path / "b.mcap", "--stream", "box.sync")
+    assert "b.mcap" not in kinegraph("emg", "sessions", tmp_path, "--subject", "S01")
+    told = kinegraph("files", "compare-clocks", tmp_path / "a.mcap", tmp_path / "b.mcap", "--stream", "box.sync")
     assert "+ 7.500000 s" in told and "ppm" in told and "residual 0.00 ms" in told

@@ -36,7 +36,7 @@ def replayed(tmp_path_factory):
     emg = ("--stream", "treadmill.emg=emg_uV", "--time", "treadmill.emg=t_s", *names)
     events = ("--events", "treadmill.touchdown=touchdown_s", "--events", "treadmill.liftoff=liftoff_s")
     facts = ("--meta", "treadmill.touchdown:side=right", "--fact", "subject=TW12")
-    kinegraph("import", file, "-o", folder / "walk.mcap", *emg, *events, *facts)
+    kinegraph("files", "import", file, "-o", folder / "walk.mcap", *emg, *events, *facts)
     kinegraph("replay", CONFIG, folder / "walk.mcap", "-o", folder / "out", "-q")
     with Recording.open(folder / "out") as opened:
         yield opened, z

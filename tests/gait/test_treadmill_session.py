@@ -88,9 +88,18 @@ def test_a_replay_names_whose_recording_it_is(tmp_path: Path) -> None:
     streams += ["--events", "treadmill.liftoff=heel_s"]
     tables = [tmp_path / "walk.csv", tmp_path / "steps.csv"]
     kinegraph(
-        "import", *tables, "-o", tmp_path / "named.mcap", *streams, "--fact", "subject=S01", "--fact", "speed_m_s=1.4"
+        "files",
+        "import",
+        *tables,
+        "-o",
+        tmp_path / "named.mcap",
+        *streams,
+        "--fact",
+        "subject=S01",
+        "--fact",
+        "speed_m_s=1.4",
     )
-    kinegraph("import", *tables, "-o", tmp_path / "nameless.mcap", *streams)
+    kinegraph("files", "import", *tables, "-o", tmp_path / "nameless.mcap", *streams)
     for name, settings, words in (
         ("named", [], "Subject <b>S01</b>"),
         ("named", ["--set", "session.subject=S02"], "Subject <b>S02</b>"),

@@ -167,12 +167,12 @@ def test_the_sdist_gives_the_same_wheel(site: Path, tmp_path: Path) -> None:
 EVERY_HELP = """
 import contextlib, io, pathlib, sys
 import typer
-from kinegraph.stream.cli import main as cli
+from kinegraph.stream.cli import main as cli, registry
 import kinegraph
 assert pathlib.Path(kinegraph.__file__).is_relative_to(sys.prefix), kinegraph.__file__
 told = 0
-for name in [*cli.COMMANDS, *(entry.name for entry in cli.added())]:
-    found = cli.function_of(name)
+for name in registry.names():
+    found = registry.function_of(name)
     under = [c.name for c in found.registered_commands] if isinstance(found, typer.Typer) else []
     for words in [[name], *([name, sub] for sub in under)]:
         text = io.StringIO()
@@ -194,7 +194,7 @@ for name, path in shipped().items():
         assert plan(load(path), enforce=False).memory_bytes > 0
     except GraphError as error:
         # the network is no part of kinegraph, nor, where somebody has fetched it, what runs it
-        assert "kinegraph fetch pose-model" in str(error) or "pip install 'kinegraph[pose]'" in str(error), error
+        assert "kinegraph files fetch pose-model" in str(error) or "pip install 'kinegraph[pose]'" in str(error), error
     print(name)
 """
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from kinegraph.stream.cli.main import COMMANDS
+from kinegraph.stream.cli.registry import names
 from kinegraph.stream.graph.components import catalogue
 from kinegraph.stream.params import schema
 
@@ -64,7 +64,7 @@ def test_every_page_is_there_and_can_be_searched(site: Path) -> None:
 
 def test_commands_and_graphs_are_there(site: Path) -> None:
     commands, graphs = text_of(site / "reference" / "commands.html"), text_of(site / "reference" / "configs.html")
-    assert all(f"kinegraph {name}" in commands for name in (*COMMANDS, "compare", "train steps", "evaluate sleep"))
+    assert all(f"kinegraph {name}" in commands for name in names())
     assert all(path.stem in graphs for path in (HOUSE / "configs").glob("*.yaml"))
     assert "BatchResults.to_pandas" in text_of(site / "reference" / "python.html")
 

@@ -1,4 +1,4 @@
-"""`kinegraph try`: a user's own operator, in a file of their own, is held to the laws."""
+"""`kinegraph dev try`: a user's own operator, in a file of their own, is held to the laws."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Gain(Operator[None]):
 
 def attempt(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "kinegraph", "try", *arguments],
+        [sys.executable, "-m", "kinegraph", "dev", "try", *arguments],
         cwd=folder,
         capture_output=True,
         text=True,

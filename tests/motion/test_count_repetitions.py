@@ -29,7 +29,7 @@ def counted(folder, time, acceleration):
         table.writerow(["t", "x", "y", "z"])
         table.writerows([f"{v:.4f}" for v in row] for row in np.column_stack([time, acceleration]))
     source = ("--stream", "sensor.imu=x,y,z", "--time", "t", "--unit", "m/s2")
-    kinegraph("import", folder / "phone.csv", "-o", folder / "phone.mcap", *source)
+    kinegraph("files", "import", folder / "phone.csv", "-o", folder / "phone.mcap", *source)
     kinegraph("replay", COUNTER, folder / "phone.mcap", "-q", "-o", folder / "counted.mcap")
     found = read_found(folder / "counted.mcap")
     return found.primitives[found.repetition > 0]

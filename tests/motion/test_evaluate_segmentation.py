@@ -222,9 +222,9 @@ def test_the_command_writes_table_and_pictures(tmp_path, capsys):
         "start_s,end_s,activity,cluster,repetition\n0,2.5,0,1,1\n2.5,5,0,1,2\n5,10,1,2,1\n"
     )
     (tmp_path / "all.csv").write_text("result,truth,offset_s\nwalk.mcap,walk.csv,0\nother.csv,walk.csv,\n")
-    arguments = ["segmentation", "--table", str(tmp_path / "all.csv"), "-o", str(tmp_path / "out")]
+    arguments = ["--table", str(tmp_path / "all.csv"), "-o", str(tmp_path / "out")]
     with pytest.raises(SystemExit) as ended:
-        cli.call("evaluate", arguments)
+        cli.call("motion evaluate", arguments)
     assert not ended.value.code and "boundary F1" in capsys.readouterr().out
     with (tmp_path / "out" / "scores.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -233,12 +233,11 @@ def test_the_command_writes_table_and_pictures(tmp_path, capsys):
     assert [float(row["repetitions"]) for row in rows] == [0.0, 1.0]
     assert (tmp_path / "out" / "walk.png").stat().st_size > 10_000
     with pytest.raises(KinegraphError, match="--overwrite replaces it"):
-        cli.call("evaluate", arguments)
+        cli.call("motion evaluate", arguments)
     with pytest.raises(SystemExit):
         cli.call(
-            "evaluate",
+            "motion evaluate",
             [
-                "segmentation",
                 str(tmp_path / "walk.mcap"),
                 str(tmp_path / "walk.csv"),
                 "--features",
@@ -301,15 +300,15 @@ def test_annotations_of_another_time_are_not_scored(tmp_path):
     with pytest.raises(
         KinegraphError, match=r"walk\.csv: annotates 100 to 105 s, but the segments of .* end at 9\.967 s; --offset"
     ):
-        cli.call("evaluate", ["segmentation", str(made), str(annotated)])
+        cli.call("motion evaluate", [str(made), str(annotated)])
     with pytest.raises(SystemExit) as ended:
-        cli.call("evaluate", ["segmentation", str(made), str(annotated), "--offset", "-100"])
+        cli.call("motion evaluate", [str(made), str(annotated), "--offset", "-100"])
     assert not ended.value.code
     with pytest.raises(KinegraphError, match="--offset nan: must be a number of seconds"):
-        cli.call("evaluate", ["segmentation", str(made), str(annotated), "--offset", "nan"])
+        cli.call("motion evaluate", [str(made), str(annotated), "--offset", "nan"])
     (tmp_path / "all.csv").write_text("result,truth,offset_s\nwalk.mcap,walk.csv,inf\n")
     with pytest.raises(KinegraphError, match=r"all\.csv: line 2: must name result and truth"):
-        cli.call("evaluate", ["segmentation", "--table", str(tmp_path / "all.csv")])
+        cli.call("motion evaluate", ["--table", str(tmp_path / "all.csv")])
 
 
 @pytest.mark.parametrize("frame", [32, 36, 55, 95])

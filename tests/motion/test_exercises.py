@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph.operators.segmentation.commands.teach import _cut
+from kinegraph.operators.segmentation.commands.label import _cut
 from kinegraph.operators.segmentation.names.naming import TURNS, NameRepetitions, letters
 from kinegraph.operators.segmentation.names.taught import UNKNOWN, Taught, taught
 from kinegraph.operators.segmentation.outputs import PRIMITIVE
@@ -293,22 +293,22 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
 
     made = tmp_path / "exercises.npz"
     told = [f"{name}={at[0]:.1f}-{at[-1]:.1f}" for name, at in spans(2).items() if name != "wave"]
-    assert not kinegraph("teach", session("shown", 2), *told, "-o", made)
+    assert not kinegraph("motion", "label", session("shown", 2), *told, "-o", made)
     assert "squat: 5 of 6 repetitions kept" in capsys.readouterr().out
     for wrong, message in ((told, "exercises.npz exists"), (["rest=0-0.2"], "between 0 and 0.2 s; there are some at")):
         with pytest.raises(KinegraphError, match=message):
             output = made if wrong is told else tmp_path / "other.npz"
-            cli.call("teach", [str(tmp_path / "shown"), *wrong, "-o", str(output)])
+            cli.call("motion label", [str(tmp_path / "shown"), *wrong, "-o", str(output)])
     both = [told[0], told[1], told[1].replace("squat", "arms")]
     with pytest.raises(
         KinegraphError, match=r"squat and arms: the repetition at .* s cannot be both|arms and squat: the"
     ):
-        cli.call("teach", [str(tmp_path / "shown"), *both, "-o", str(tmp_path / "other.npz")])
+        cli.call("motion label", [str(tmp_path / "shown"), *both, "-o", str(tmp_path / "other.npz")])
     assert not (tmp_path / "other.npz").exists()
-    assert not kinegraph("teach", tmp_path / "shown", told[1], told[1], "-o", tmp_path / "twice.npz")
+    assert not kinegraph("motion", "label", tmp_path / "shown", told[1], told[1], "-o", tmp_path / "twice.npz")
     assert "squat: 5 of 6 repetitions kept" in capsys.readouterr().out
     mixed = f"arms={spans(2)['arms'][0]:.1f}-{spans(2)['squat'][2]:.1f}"
-    assert not kinegraph("teach", tmp_path / "shown", mixed, "-o", tmp_path / "mixed.npz")
+    assert not kinegraph("motion", "label", tmp_path / "shown", mixed, "-o", tmp_path / "mixed.npz")
     assert "arms: its repetitions are of 2 kinds" in capsys.readouterr().out
     with Recording.open(session("done", 5, "--set", f"named.model={made}")) as recording:
         found = np.concatenate([entry[0].data for entry in recording.entries("named.repetition")])
@@ -321,7 +321,7 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
 
 
 def test_taught_by_what_was_said_a_name_is_of_what_was_under_way_or_nearer() -> None:
-    from kinegraph.operators.segmentation.commands.teach import _meant
+    from kinegraph.operators.segmentation.commands.label import _meant
 
     told = np.zeros(6, PRIMITIVE)
     told["onset"] = np.array([0, 2, 4, 12, 14, 16]) * NS

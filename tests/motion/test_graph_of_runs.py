@@ -58,7 +58,7 @@ def test_the_graph_of_figure_10_1(kinegraph: Command) -> None:
     Path("cut.yaml").write_text(CUT)
     assert kinegraph("replay", "cut.yaml", "trial.mcap", "-o", "cut", "-q")[0] == 0
     code, said, wrong = kinegraph(
-        "train", "graph", "cut", "--no-mirror", "--within-cm", "8", "--call", "walk=1-6", "--call", "run=9-14", "-o", "graph.npz"
+        "motion", "train", "graph", "cut", "--no-mirror", "--within-cm", "8", "--call", "walk=1-6", "--call", "run=9-14", "-o", "graph.npz"
     )  # fmt: skip
     assert code == 0, wrong
     assert "segmenting" not in said, "its primitives are those of the segmentation, as they come"

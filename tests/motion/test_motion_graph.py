@@ -366,9 +366,9 @@ def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph:
         "nodes:\n  someone: {use: devices.people.performer.Performer, realtime: false, duration_s: 40}\nrecord: [someone.pose]\n"
     )
     assert kinegraph("run", "someone.yaml", "--view", "none", "-o", "someone")[0] == 0
-    told = kinegraph("train", "graph", "someone", "-o", "graph.npz")
+    told = kinegraph("motion", "train", "graph", "someone", "-o", "graph.npz")
     assert told[0] == 0 and "in the core" in told[1], told
-    refused(kinegraph("train", "graph", "someone", "-o", "graph.npz"), "--overwrite")
+    refused(kinegraph("motion", "train", "graph", "someone", "-o", "graph.npz"), "--overwrite")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as avatar:
         avatar.bind(("127.0.0.1", 0))
         avatar.settimeout(10)

@@ -304,7 +304,9 @@ def test_marker_sets_meet_and_what_is_missing_is_said(kinegraph: Command, tmp_pa
         tmp_path / "b.mcap", other[::2], 30.0, ("T6", "S1", "S2", *NAMES[3:]), "mm", gait="<script>alert(1)</script>"
     )
     (tmp_path / "m.yaml").write_text(YAML)
-    code, said, _ = kinegraph("train", "map", "a.mcap", "b.mcap", "--markers", "m.yaml", "-o", "x.npz", "--rows", "4")
+    code, said, _ = kinegraph(
+        "motion", "train", "map", "a.mcap", "b.mcap", "--markers", "m.yaml", "-o", "x.npz", "--rows", "4"
+    )
     assert code == 0
     assert "b: lacks poll" in said and "not all sequences have them: poll" in said and "4 x 12 cells" in said
     made = MotionIndex.read(tmp_path / "x.npz")
@@ -314,7 +316,7 @@ def test_marker_sets_meet_and_what_is_missing_is_said(kinegraph: Command, tmp_pa
     assert np.isnan(second[:, 2]).all()
     apart = np.delete(first[: len(second)] - second, 2, axis=1)
     assert np.abs(apart).max() < 0.03, "half the rate, another unit, other names: the same poses"
-    refused(kinegraph("train", "map", "a.mcap", "--markers", "m.yaml", "-o", "x.npz"), "exists")
+    refused(kinegraph("motion", "train", "map", "a.mcap", "--markers", "m.yaml", "-o", "x.npz"), "exists")
 
 
 BAD = {
@@ -345,9 +347,9 @@ def test_recordings_that_cannot_be_mapped_are_refused(kinegraph: Command, tmp_pa
     for name, why in {
         "still": "are the same", "one": "two poses or more", "other": "no 'withers'", "volts": "its unit is 'V'",
     }.items():  # fmt: skip
-        refused(kinegraph("train", "map", f"{name}.mcap", "--markers", "m.yaml", "-o", "x.npz"), why)
+        refused(kinegraph("motion", "train", "map", f"{name}.mcap", "--markers", "m.yaml", "-o", "x.npz"), why)
         assert not (tmp_path / "x.npz").exists()
-    refused(kinegraph("train", "map", "other.mcap", "-o", "x.npz"), "--origin is needed")
+    refused(kinegraph("motion", "train", "map", "other.mcap", "-o", "x.npz"), "--origin is needed")
 
 
 def test_of_many_poses_some_are_drawn_and_the_rest_is_density(

@@ -132,7 +132,7 @@ def test_what_is_lost_one_by_one_is_filled_in_and_costs_no_repetition(config, so
 def test_muscles_of_a_real_treadmill_walk_repeat_with_every_touchdown(tmp_path):
     file = real_file("emg/emg_santuz_tw12.npz")
     source = ("--stream", "board.emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV")
-    kinegraph("import", file, "-o", tmp_path / "walk.mcap", *source)
+    kinegraph("files", "import", file, "-o", tmp_path / "walk.mcap", *source)
     kinegraph("replay", CONFIGS / "segment_emg.yaml", tmp_path / "walk.mcap", "-q", "-o", tmp_path / "out.mcap")
     with np.load(file) as archive:
         keys = archive["touchdown_s"] - archive["t_s"][0]
@@ -145,7 +145,7 @@ def test_muscles_of_a_real_treadmill_walk_repeat_with_every_touchdown(tmp_path):
 def test_a_real_kinect_recording_is_counted(tmp_path):
     file = DATA / "segmentation" / "msrc12" / "P3_2_10_p17.npz"
     source = ("--stream", "kinect.joints=joints_m", "--time", "t_us", "--names", "joint_names", "--unit", "m")
-    kinegraph("import", file, "-o", tmp_path / "hop.mcap", *source)
+    kinegraph("files", "import", file, "-o", tmp_path / "hop.mcap", *source)
     kinegraph("replay", CONFIGS / "segment_kinect.yaml", tmp_path / "hop.mcap", "-q", "-o", tmp_path / "out.mcap")
     scores = score(read_found(tmp_path / "out.mcap"), read_truth(file))
     assert scores.repetitions <= 2

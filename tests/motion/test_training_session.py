@@ -44,7 +44,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Routine]:
     first = Routine(Exerciser(seed=2, exercises=DONE, repetitions=5))
     shown = session(folder / "shown", first, **{"kinect.seed": 2, "kinect.repetitions": 5})
     spans = [f"{name}={first.starts(k)[0]:.1f}-{first.starts(k)[-1]:.1f}" for k, name in enumerate(DONE)]
-    kinegraph("teach", shown, *spans, "-o", folder / "exercises.npz")
+    kinegraph("motion", "label", shown, *spans, "-o", folder / "exercises.npz")
     routine = Routine(Exerciser(seed=5, exercises=DONE, repetitions=TEN, pause_s=8.0))
     middle = routine.starts(1)
     more = {

@@ -38,7 +38,7 @@ def trained(kinegraph: Command) -> MotionGraph:
     """One recording, segmented and made into a graph by the command; the motions are shown by when they were done."""
     shown = record_athlete(Path("athlete.mcap"))
     calls = [word for name, first, last in shown for word in ("--call", f"{name}={first:.1f}-{last:.1f}")]
-    code, said, wrong = kinegraph("train", "graph", "athlete.mcap", *calls, "-o", "graph.npz")
+    code, said, wrong = kinegraph("motion", "train", "graph", "athlete.mcap", *calls, "-o", "graph.npz")
     assert code == 0, wrong
     assert "segmenting" in said
     return MotionGraph.read(Path("graph.npz"))

@@ -49,7 +49,7 @@ def horses(folder: Path) -> list[str]:
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
     folder = tmp_path_factory.mktemp("horses")
     cache = {"KINEGRAPH_CACHE": os.environ.get("KINEGRAPH_CACHE", str(folder / "cache"))}
-    with page_process(folder, "map", *horses(folder), "--markers", "horse.yaml", **cache) as process:
+    with page_process(folder, "motion", "map", *horses(folder), "--markers", "horse.yaml", **cache) as process:
         yield process
 
 
@@ -359,7 +359,7 @@ def swing_of(page: LiveBrowser, name: str, marker: str) -> int:
 
 @needs_data
 def test_a_person_finds_the_lame_one_of_two_real_trots(browser: LiveBrowser, tmp_path: Path) -> None:
-    with page_process(tmp_path, "map", *dogs(tmp_path), "--markers", "dog.yaml") as process:
+    with page_process(tmp_path, "motion", "map", *dogs(tmp_path), "--markers", "dog.yaml") as process:
         page = browser.open(process.url)
         page.wait("document.body.dataset.search === 'ready' && document.body.dataset.frames")
         light(page)

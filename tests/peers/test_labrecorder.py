@@ -1,4 +1,4 @@
-"""The real LabRecorder records our outlets; pyxdf and `kinegraph import` read its file, and agree with our own recording."""
+"""The real LabRecorder records our outlets; pyxdf and `kinegraph files import` read its file, and agree with our own recording."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_pyxdf_finds_the_events(files: tuple[Path, Path]) -> None:
 def test_import_makes_the_streams_that_were_sent(files: tuple[Path, Path], tmp_path: Path) -> None:
     file, folder = files
     with pytest.raises(SystemExit) as ended:
-        cli.call("import", [str(file), "-o", str(tmp_path / "walk.mcap")])
+        cli.call("files import", [str(file), "-o", str(tmp_path / "walk.mcap")])
     assert not ended.value.code
     with Recording.open(folder) as ours, Recording.open(tmp_path / "walk.mcap") as theirs:
         spec = theirs.streams["walk.emg"].spec

@@ -35,7 +35,7 @@ def test_a_disk_that_fills_up_while_files_are_made(
 ) -> None:
     if command == "import":
         np.savez(tmp_path / "t.npz", a=np.random.default_rng(1).normal(size=(50_000, 2)))
-        told = kinegraph("import", "t.npz", "-o", "t.mcap", "--stream", "x=a", "--rate", "1000")
+        told = kinegraph("files", "import", "t.npz", "-o", "t.mcap", "--stream", "x=a", "--rate", "1000")
         assert not (tmp_path / "t.mcap").exists()
     else:
         told = kinegraph("replay", made / "graph.yaml", made / "s", "-o", "again", "-q")
@@ -118,8 +118,8 @@ def test_folders_that_may_not_be_written(kinegraph: Command, made: Path, read_on
     (tmp_path / "t.csv").write_text("time,a\n0,1\n1,2\n2,3\n")
     graph, whole = made / "graph.yaml", made / "s"
     refused(kinegraph("run", graph, *QUIET, "-o", "ro/s"), "ro/s: cannot be created (Read-only file system)")
-    refused(kinegraph("import", "t.csv", "-o", "ro/t.mcap"), "ro/t.mcap: cannot write there")
-    refused(kinegraph("export", whole, "-o", "ro/out"), "ro/out: cannot be written (Read-only file system)")
+    refused(kinegraph("files", "import", "t.csv", "-o", "ro/t.mcap"), "ro/t.mcap: cannot write there")
+    refused(kinegraph("files", "export", whole, "-o", "ro/out"), "ro/out: cannot be written (Read-only file system)")
     refused(kinegraph("recover", whole, "-o", "ro/t.mcap"), "cannot be written (Read-only file system)")
-    refused(kinegraph("schema", "-o", "ro/s.json"), "ro/s.json cannot be written: Read-only file system")
+    refused(kinegraph("dev", "schema", "-o", "ro/s.json"), "ro/s.json cannot be written: Read-only file system")
     assert [p.name for p in read_only.iterdir()] == ["cal.json"]

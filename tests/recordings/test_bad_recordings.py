@@ -39,7 +39,7 @@ def test_recordings_that_cannot_be_read(
     cases = [
         (tmp_path / "none.mcap", "there is no such recording"),
         (tmp_path / "empty", "the folder holds no recording"),
-        (made / "graph.yaml", "not an MCAP recording; CSV, NPZ and XDF files are read by `kinegraph import`"),
+        (made / "graph.yaml", "not an MCAP recording; CSV, NPZ and XDF files are read by `kinegraph files import`"),
         (tmp_path / "ros.mcap", "not a kinegraph recording (profile 'ros2')"),
         (tmp_path / "other.mcap", "not a kinegraph recording (written by"),
         (broken(lambda b: b"", "nothing.mcap"), "the file is empty"),
@@ -49,7 +49,11 @@ def test_recordings_that_cannot_be_read(
         (broken(lambda b: flipped(b, len(b) // 2), "middle.mcap"), "damaged at byte"),
     ]
     for path, words in cases:
-        for arguments in (("info", path), ("export", path, "-o", "out"), ("replay", made / "graph.yaml", path)):
+        for arguments in (
+            ("info", path),
+            ("files", "export", path, "-o", "out"),
+            ("replay", made / "graph.yaml", path),
+        ):
             refused(kinegraph(*arguments), str(path), words)
     assert not any((tmp_path / "out").glob("*"))
 
@@ -99,6 +103,10 @@ def test_damage_anywhere_is_told_and_recovered_from(
 
 def test_a_recording_that_lacks_a_stream(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("time,a\n" + "".join(f"{k / 100},{k}\n" for k in range(50)))
-    assert kinegraph("import", "t.csv", "-o", "t.mcap", "--stream", "other=a", "--time", "other=time")[0] == 0
+    assert kinegraph("files", "import", "t.csv", "-o", "t.mcap", "--stream", "other=a", "--time", "other=time")[0] == 0
     refused(kinegraph("replay", made / "graph.yaml", "t.mcap"), "node 'rect'", "lacks the stream 'board.emg'")
-    refused(kinegraph("export", "t.mcap", "--stream", "othre", "-o", "x"), "no stream 'othre'", "did you mean 'other'?")
+    refused(
+        kinegraph("files", "export", "t.mcap", "--stream", "othre", "-o", "x"),
+        "no stream 'othre'",
+        "did you mean 'other'?",
+    )

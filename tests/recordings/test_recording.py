@@ -286,7 +286,7 @@ def test_files_that_are_no_recordings(tmp_path: Path) -> None:
     for name, text in {
         "missing.mcap": "there is no such recording",
         "empty.mcap": "the file is empty",
-        "text.mcap": "not an MCAP recording.*kinegraph import",
+        "text.mcap": "not an MCAP recording.*kinegraph files import",
         "head.mcap": "truncated before anything was recorded",
         "new.mcap": "written in recording format 9; this kinegraph reads formats up to 1",
         "foreign.mcap": "not a kinegraph recording .profile 'ros2'.",

@@ -2,7 +2,7 @@
 
 Recording: simulated, a performer of capsules before a rendered camera (of a real camera there is no recording that may be kept).
 Truth: where the performer and the floor are. The markers themselves come from a pose network that not every computer has:
-`kinegraph fetch pose-model` brings it, and tests/avatar/test_body.py tries it.
+`kinegraph files fetch pose-model` brings it, and tests/avatar/test_body.py tries it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`kinegraph bedside check` on the simulated bedroom: a region that holds, one that does not, and a camera that is blind at night."""
+"""`kinegraph sleep check` on the simulated bedroom: a region that holds, one that does not, and a camera that is blind at night."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROOM = (
 
 
 def test_a_bed_that_was_found_holds_who_lies_in_it(kinegraph: Command) -> None:
-    code, out, _ = kinegraph("bedside", "check", *ROOM)
+    code, out, _ = kinegraph("sleep", "check", *ROOM)
     assert code == 0 and "NOT WELL" not in out and "the region holds 100%" in out and "the light is the same" in out
 
 
@@ -37,12 +37,12 @@ def test_a_bed_that_was_found_holds_who_lies_in_it(kinegraph: Command) -> None:
     ],
 )
 def test_what_is_not_well_is_named_and_ends_with_2(kinegraph: Command, more: tuple[object, ...], told: str) -> None:
-    code, out, _ = kinegraph("bedside", "check", *ROOM, *more)
+    code, out, _ = kinegraph("sleep", "check", *ROOM, *more)
     assert code == 2 and told in out
 
 
 def test_a_stereo_camera_without_a_light_is_refused_before_it_is_opened(kinegraph: Command) -> None:
-    told = kinegraph("bedside", "check", CONFIGS / "bedside_sleep.yaml", "--set", "camera.projector=0")
+    told = kinegraph("sleep", "check", CONFIGS / "bedside_sleep.yaml", "--set", "camera.projector=0")
     refused(told, "sees nothing in the dark", "lit_room: true")
 
 

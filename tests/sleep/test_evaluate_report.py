@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinegraph.operators.sleep.evaluation.checklist import NOT_GIVEN, STUDY, Evaluated, checklist
-from kinegraph.operators.sleep.evaluation.command import sleep
+from kinegraph.operators.sleep.evaluation.command import evaluate
 from kinegraph.operators.sleep.evaluation.comparison import Pair, pair
 from kinegraph.operators.sleep.evaluation.persons import METRICS, by_person, normality, spread, trend
 from kinegraph.operators.sleep.evaluation.reference import Hypnogram
@@ -122,7 +122,7 @@ def test_the_command_writes_page_and_tables(tmp_path: Path, capsys: pytest.Captu
     (tmp_path / "nights.csv").write_text(sheet_text(rows))
     (tmp_path / "study.csv").write_text("item,answer\nsetting,at home\n")
     folder = tmp_path / "validation"
-    sleep(nights=tmp_path / "nights.csv", report=folder, study=tmp_path / "study.csv")
+    evaluate(nights=tmp_path / "nights.csv", report=folder, study=tmp_path / "study.csv")
     assert str(folder / "report.html") in capsys.readouterr().out
     page = (folder / "report.html").read_text()
     assert "Menghini et al. 2021" in page and "quiet wakefulness" in page and "lost.csv: camera fell down" in page
@@ -136,7 +136,7 @@ def test_the_command_writes_page_and_tables(tmp_path: Path, capsys: pytest.Captu
     assert items[STUDY["setting"]] == "at home" and items[STUDY["device"]] == NOT_GIVEN
     assert f"{sum(a == NOT_GIVEN for a in items.values())} of {len(items)} items are not given" in page
     with pytest.raises(KinegraphError, match="--overwrite"):
-        sleep(nights=tmp_path / "nights.csv", report=folder)
+        evaluate(nights=tmp_path / "nights.csv", report=folder)
 
 
 @pytest.mark.parametrize(
@@ -146,7 +146,7 @@ def test_a_study_that_answers_nothing_that_was_asked(tmp_path: Path, text: str, 
     write(tmp_path / "a.csv", [("W", 20), ("N2", 20)])
     (tmp_path / "study.csv").write_text(f"item,answer\n{text}\n")
     with pytest.raises(KinegraphError, match=told):
-        sleep(tmp_path / "a.csv", tmp_path / "a.csv", report=tmp_path / "out", study=tmp_path / "study.csv")
+        evaluate(tmp_path / "a.csv", tmp_path / "a.csv", report=tmp_path / "out", study=tmp_path / "study.csv")
     with pytest.raises(KinegraphError, match="--report names its folder"):
-        sleep(tmp_path / "a.csv", tmp_path / "a.csv", study=tmp_path / "study.csv")
+        evaluate(tmp_path / "a.csv", tmp_path / "a.csv", study=tmp_path / "study.csv")
     assert not (tmp_path / "out").exists()

@@ -12,7 +12,7 @@ import pytest
 
 from kinegraph.operators.sleep.evaluation import command
 from kinegraph.operators.sleep.evaluation.agreement import Confusion, interval, limits
-from kinegraph.operators.sleep.evaluation.command import _rows, sleep
+from kinegraph.operators.sleep.evaluation.command import _rows, evaluate
 from kinegraph.operators.sleep.evaluation.comparison import agreement, pair, total
 from kinegraph.operators.sleep.evaluation.pictures import draw
 from kinegraph.operators.sleep.evaluation.reference import Hypnogram, read_hypnogram, stage
@@ -156,7 +156,7 @@ def test_a_clock_without_a_zone_beside_one_with(
     write_edf(tmp_path / "psg.edf", stages)
     write_edf(tmp_path / "night.edf", stages)
     write_csv(tmp_path / "night.csv", [STAGES[int(s)] for s in stages])
-    sleep(tmp_path / night, tmp_path / "psg.edf")
+    evaluate(tmp_path / night, tmp_path / "psg.edf")
     assert told in (warned := capsys.readouterr().err) and bool(told) == bool(warned)
 
 
@@ -186,7 +186,7 @@ def test_thirty_one_real_hypnograms_against_a_spoilt_copy(tmp_path: Path, capsys
         wakes += (stages == 0).sum()
         sleeps += asleep.sum()
     (tmp_path / "nights.csv").write_text("\n".join(lines) + "\n")
-    sleep(nights=tmp_path / "nights.csv", output=tmp_path / "out")
+    evaluate(nights=tmp_path / "nights.csv", output=tmp_path / "out")
     shown = capsys.readouterr().out
     pooled = next(line.split() for line in shown.splitlines() if line.split()[:1] == ["pooled"])
     assert int(pooled[1]) == wakes + sleeps
@@ -195,19 +195,19 @@ def test_thirty_one_real_hypnograms_against_a_spoilt_copy(tmp_path: Path, capsys
     assert (tmp_path / "out" / "agreement.png").read_bytes()[:4] == b"\x89PNG"
     assert len((tmp_path / "out" / "nights.csv").read_text().splitlines()) == len(lines)
     with pytest.raises(KinegraphError, match="--overwrite"):
-        sleep(nights=tmp_path / "nights.csv", output=tmp_path / "out")
+        evaluate(nights=tmp_path / "nights.csv", output=tmp_path / "out")
 
 
 def test_the_command_line(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", ["wake"] * 10 + ["sleep"] * 50)
     write_csv(tmp_path / "b.csv", ["W"] * 12 + ["N2"] * 48)
-    command = [str(Path(sys.executable).parent / "kinegraph"), "evaluate"]
-    done = subprocess.run([*command, "sleep", "a.csv", "b.csv"], cwd=tmp_path, capture_output=True, text=True)
+    command = [str(Path(sys.executable).parent / "kinegraph"), "sleep", "evaluate"]
+    done = subprocess.run([*command, "a.csv", "b.csv"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0 and "0.833" in done.stdout, done.stdout + done.stderr
     (tmp_path / "b.csv").write_text("time,state\n0,W\n30,snoring\n")
-    done = subprocess.run([*command, "sleep", "a.csv", "b.csv"], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run([*command, "a.csv", "b.csv"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2 and "b.csv, line 3: 'snoring' is not a stage" in done.stderr
-    assert "sleep" in subprocess.run([*command, "--help"], capture_output=True, text=True).stdout
+    assert "REFERENCE" in subprocess.run([*command, "--help"], capture_output=True, text=True).stdout
 
 
 @pytest.mark.parametrize(

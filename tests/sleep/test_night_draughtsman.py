@@ -59,7 +59,7 @@ def test_a_failing_report_is_tried_a_few_times_and_told_twice(tmp_path: Path, cl
     told = look_for(24, works, clock)
     assert Failing.started == 1 + len(renderer.AGAIN_S)
     assert told == ["report incomplete; it is tried again a few times", "report postponed until the session ends"]
-    with pytest.raises(DeviceError, match=r"no such font.*kinegraph nights report"):
+    with pytest.raises(DeviceError, match=r"no such font.*kinegraph sleep nights report"):
         works.finish()
     assert Failing.started == 2 + len(renderer.AGAIN_S), "once more at the end"
 

@@ -225,7 +225,7 @@ def test_the_command_lists_draws_and_deletes(
 
     def run(*words: str, code: int = 0) -> str:
         with pytest.raises(SystemExit) as ended:
-            call("nights", [*words, "--path", str(tmp_path)])
+            call("sleep nights", [*words, "--path", str(tmp_path)])
         assert ended.value.code == code
         return capsys.readouterr().out
 
@@ -233,12 +233,12 @@ def test_the_command_lists_draws_and_deletes(
     assert "2025-12-31" in run() and "1 night in" in run("list")
     assert "report.html" in run("report", "last")
     with pytest.raises(KinegraphError, match="2025-12-31"):
-        call("nights", ["delete", "2025-12-30", "--path", str(tmp_path)])
+        call("sleep nights", ["delete", "2025-12-30", "--path", str(tmp_path)])
     with pytest.raises(KinegraphError, match="name the night"):
-        call("nights", ["delete", "--path", str(tmp_path)])
+        call("sleep nights", ["delete", "--path", str(tmp_path)])
     monkeypatch.setattr("sys.stdin", io.StringIO())
     with pytest.raises(KinegraphError, match="nobody can be asked for confirmation, so 2025-12-31 stays; --yes"):
-        call("nights", ["delete", "last", "--path", str(tmp_path)])
+        call("sleep nights", ["delete", "last", "--path", str(tmp_path)])
     assert (tmp_path / "2025-12-31").is_dir()
     run("delete", "last", "--yes")
     assert not (tmp_path / "2025-12-31").exists()
@@ -377,7 +377,7 @@ def test_one_damaged_night_hides_no_other(kinegraph: Command, tmp_path: Path) ->
     (tmp_path / "nights" / "2024-05-03" / archive.FACTS).write_text(
         '{"version": 1, "name": "x", "begun": "x", "epoch_s": 30}'
     )
-    code, out, _ = kinegraph("nights")
+    code, out, _ = kinegraph("sleep", "nights")
     assert code == 0 and "2024-05-01" in out and "2024-05-02" in out and "damaged" in out
     assert "2024-05-03: cannot be read" in out
 

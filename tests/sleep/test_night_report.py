@@ -203,7 +203,15 @@ def test_a_product_that_cannot_be_written_takes_no_other_with_it(copied: Path, l
     assert all((copied / name).is_file() for name in archive.DRAWN if name != lost)
     if lost != "report.html":
         assert f"Could not be made: {lost}" in (copied / "report.html").read_text()
-    command = [str(Path(sys.executable).parent / "kinegraph"), "nights", "report", "last", "--path", str(copied.parent)]
+    command = [
+        str(Path(sys.executable).parent / "kinegraph"),
+        "sleep",
+        "nights",
+        "report",
+        "last",
+        "--path",
+        str(copied.parent),
+    ]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 2 and lost in done.stderr and "Traceback" not in done.stderr
 

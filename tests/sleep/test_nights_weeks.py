@@ -145,17 +145,17 @@ def test_periods_are_compared_with_welchs_interval(fortnight: Path) -> None:
 
 
 def test_the_command_reports_compares_and_exports(kinegraph: Command, fortnight: Path, tmp_path: Path) -> None:
-    code, listed, _ = kinegraph("nights", "--path", fortnight)
+    code, listed, _ = kinegraph("sleep", "nights", "--path", fortnight)
     assert code == 0
     assert "missing" in listed and "nap" in listed and "Social jet lag" in listed and "13 nights and 1 nap in" in listed
     out = tmp_path / "weeks"
     periods = ("--compare", "2026-11-02..2026-11-08", "--compare", "2026-11-09..2026-11-15")
-    assert kinegraph("nights", "weeks", "--path", fortnight, "-o", out, *periods)[0] == 0
+    assert kinegraph("sleep", "nights", "weeks", "--path", fortnight, "-o", out, *periods)[0] == 0
     page = (out / "weeks.html").read_text()
     assert "2026-W46" in page and "11.11. missing" in page and "social jet lag" in page and "-30 min" in page
     assert "not a medical device" in page
     assert {p.name for p in out.iterdir()} == {"weeks.html", "weeks.csv", "nights.csv", "comparison.csv"}
-    kinegraph("nights", "export", "--path", fortnight, "-o", tmp_path / "all.csv", "--since", "2026-11-09")
+    kinegraph("sleep", "nights", "export", "--path", fortnight, "-o", tmp_path / "all.csv", "--since", "2026-11-09")
     with (tmp_path / "all.csv").open() as file:
         table = list(csv.DictReader(file))
     assert len(table) == 7 and table[2]["kind"] == "missing" and table[0]["asleep_min"] == "420"
@@ -171,13 +171,13 @@ def test_the_command_reports_compares_and_exports(kinegraph: Command, fortnight:
     ],
 )
 def test_what_cannot_be_asked_is_told(kinegraph: Command, fortnight: Path, more: list[str], told: str) -> None:
-    refused(kinegraph("nights", "weeks", "--path", fortnight, *more), told)
+    refused(kinegraph("sleep", "nights", "weeks", "--path", fortnight, *more), told)
 
 
 def test_a_night_that_is_left_out_of_the_weeks_is_named(kinegraph: Command, tmp_path: Path, fortnight: Path) -> None:
     (fortnight / "2026-11-03" / "epochs.csv").write_text("onset\nnonsense\n")
     (fortnight / "2026-11-04" / "night.json").write_text("{")
-    code, out, err = kinegraph("nights", "weeks", "--path", fortnight, "-o", tmp_path / "out")
+    code, out, err = kinegraph("sleep", "nights", "weeks", "--path", fortnight, "-o", tmp_path / "out")
     told = [line for line in (out + err).splitlines() if "left out" in line]
     assert code == 0 and len(told) == 2 and all(f"2026-11-{day}" in "".join(told) for day in ("03", "04"))
 
@@ -185,7 +185,7 @@ def test_a_night_that_is_left_out_of_the_weeks_is_named(kinegraph: Command, tmp_
 def test_two_sleepers_nights_are_not_mixed(kinegraph: Command, tmp_path: Path) -> None:
     for who in ("left", "right"):
         logged(tmp_path, "2026-11-02T23:00", "s" * 16, sleeper=who)
-    refused(kinegraph("nights", "export", "--path", tmp_path), "name one with --sleeper")
+    refused(kinegraph("sleep", "nights", "export", "--path", tmp_path), "name one with --sleeper")
     assert len(weeks.rows(tmp_path, "left")) == 1
 
 

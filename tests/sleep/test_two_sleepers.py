@@ -112,7 +112,7 @@ def test_the_check_has_them_lie_down_one_after_the_other(
 ) -> None:
     path = tmp_path / "two.yaml"
     path.write_text(CHECKED)
-    code, out, _ = kinegraph("bedside", "check", path, "--between", 70, "--in", 20, "--set", f"bed.regions={regions}")
+    code, out, _ = kinegraph("sleep", "check", path, "--between", 70, "--in", 20, "--set", f"bed.regions={regions}")
     assert code == (0 if well else 2)
     assert out.index("left: lie down") < out.index("left: lie still") < out.index("right: lie down")
     for name in ("left", "right"):

@@ -102,8 +102,8 @@ def test_compare_and_the_emg_model_are_those_of_the_sessions(tmp_path: Path, kin
     made = [cycles_of(tmp_path / f"{name}.mcap", bursts(20, seed=k)) for k, name in enumerate("ab")]
     results_of(tmp_path / "results", made)
     for given, out in ((made, "one"), ([tmp_path / "results"], "two")):
-        assert kinegraph("compare", *given, "-o", out)[0] == 0
-        assert kinegraph("train", "emg-model", *given, "-o", f"{out}.npz")[0] == 0
+        assert kinegraph("emg", "compare", *given, "-o", out)[0] == 0
+        assert kinegraph("emg", "train-model", *given, "-o", f"{out}.npz")[0] == 0
     assert Path("one/comparison.csv").read_bytes() == Path("two/comparison.csv").read_bytes()
     with np.load("one.npz") as one, np.load("two.npz") as two:
         assert one.files == two.files and all(one[n].tobytes() == two[n].tobytes() for n in one.files if n != "header")
@@ -114,18 +114,18 @@ def test_each_combination_of_settings_has_its_own_scores(tmp_path: Path, kinegra
     (tmp_path / "walk.csv").write_text("start_s,end_s,label,repetitions\n0,5,walk,3\n5,5.5,,\n5.5,10,run,2\n6,,,\n")
     (tmp_path / "all.csv").write_text("result,truth,offset_s\nwalk,walk.csv,0\nrun,walk.csv,0\n")
     results_of(tmp_path / "results", made, ({"segment.radius": 1}, {"segment.radius": 2}))
-    code, told, _ = kinegraph("evaluate", "segmentation", "results", "--table", "all.csv", "-o", "scores")
+    code, told, _ = kinegraph("motion", "evaluate", "results", "--table", "all.csv", "-o", "scores")
     assert code == 0 and told.count("2 recordings, segment.radius=") == 2
     sheet = Path("scores/scores.csv").read_text().splitlines()
     assert len(sheet) == 5 and {line.split(",")[0] for line in sheet[1:]} == {
         f"{name} segment.radius={value}" for name in ("walk", "run") for value in (1, 2)
     }
-    kinegraph("evaluate", "segmentation", "walk.mcap", "walk.csv", "-o", "alone")
+    kinegraph("motion", "evaluate", "walk.mcap", "walk.csv", "-o", "alone")
     alone = Path("alone/scores.csv").read_text().splitlines()[1].split(",")[1:]
     assert all(line.split(",")[1:] == alone for line in sheet[1:])
-    refused(kinegraph("evaluate", "segmentation", "results", "walk.csv"), "2 recordings", "--table")
+    refused(kinegraph("motion", "evaluate", "results", "walk.csv"), "2 recordings", "--table")
     (tmp_path / "bad.csv").write_text("result,truth\nwok,walk.csv\n")
-    refused(kinegraph("evaluate", "segmentation", "results", "--table", "bad.csv"), "'wok'", "walk")
+    refused(kinegraph("motion", "evaluate", "results", "--table", "bad.csv"), "'wok'", "walk")
 
 
 def test_nights_of_a_batch(tmp_path: Path, kinegraph: Command) -> None:
@@ -138,9 +138,9 @@ def test_nights_of_a_batch(tmp_path: Path, kinegraph: Command) -> None:
     (tmp_path / "nights.csv").write_text("estimate,reference,person\nn,psg.csv,P1\n")
     results_of(tmp_path / "results", [tmp_path / "n.mcap"], ({"scorer.threshold": 1}, {"scorer.threshold": 2}))
     for given in (("psg.csv",), ("--nights", "nights.csv")):
-        code, told, _ = kinegraph("evaluate", "sleep", "results", *given)
+        code, told, _ = kinegraph("sleep", "evaluate", "results", *given)
         assert code == 0 and told.count("0.833") == 2 and "scorer.threshold=2" in told
-    refused(kinegraph("evaluate", "sleep", "results"), "REFERENCE")
+    refused(kinegraph("sleep", "evaluate", "results"), "REFERENCE")
 
 
 def test_models_are_learned_from_a_batch(tmp_path: Path, kinegraph: Command) -> None:
@@ -148,12 +148,14 @@ def test_models_are_learned_from_a_batch(tmp_path: Path, kinegraph: Command) -> 
     table.write_text("recording,person,gender\n" + "".join(f"r{k}.mcap,p{k},{'fm'[k % 2]}\n" for k in range(6)))
     results_of(tmp_path / "results", files)
     for given, out in ((files, "one"), ([tmp_path / "results"], "two")):
-        told = kinegraph("train", "steps", table, *given, "--target", "gender", "-o", f"{out}.npz", "--trees", "5")
+        told = kinegraph(
+            "motion", "train", "steps", table, *given, "--target", "gender", "-o", f"{out}.npz", "--trees", "5"
+        )
         assert told[0] == 0, told
     with np.load("one.npz") as one, np.load("two.npz") as two:
         assert all(one[n].tobytes() == two[n].tobytes() for n in one.files if n != "header")
     results_of(tmp_path / "twice", files, ({"a.b": 1}, {"a.b": 2}))
-    refused(kinegraph("train", "steps", table, "twice", "--target", "gender", "-o", "x.npz"), "given twice")
+    refused(kinegraph("motion", "train", "steps", table, "twice", "--target", "gender", "-o", "x.npz"), "given twice")
 
 
 def test_poses_and_meshes_are_learned_from_a_batch(tmp_path: Path, kinegraph: Command) -> None:
@@ -161,13 +163,13 @@ def test_poses_and_meshes_are_learned_from_a_batch(tmp_path: Path, kinegraph: Co
     for k in range(8):
         lines = [f"v {x} {y} {z}" for x, y, z in walking(k / 8)] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
         (tmp_path / f"walk{k}.obj").write_text("\n".join(lines))
-    kinegraph("import", *sorted(tmp_path.glob("*.obj")), "--rate", 24, "-o", "mesh.mcap")
+    kinegraph("files", "import", *sorted(tmp_path.glob("*.obj")), "--rate", 24, "-o", "mesh.mcap")
     Path("markers.yaml").write_text("markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\n")
     for kind, more in (("pose", ("--centres", 50)), ("steering", ("--markers", "markers.yaml"))):
         name = {"pose": "poses", "steering": "mesh"}[kind]
         results_of(tmp_path / kind, [tmp_path / f"{name}.mcap"])
         for given in (f"{name}.mcap", kind):
-            told = kinegraph("train", kind, given, *more, "-o", f"{given}.npz")
+            told = kinegraph("motion", "train", kind, given, *more, "-o", f"{given}.npz")
             assert told[0] == 0, told
         with np.load(f"{name}.mcap.npz") as one, np.load(f"{kind}.npz") as two:
             assert all(one[n].tobytes() == two[n].tobytes() for n in one.files if n != "header")

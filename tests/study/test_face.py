@@ -58,7 +58,7 @@ def test_what_is_public_is_listed() -> None:
 
 
 def test_what_type_checkers_see_is_what_is_offered() -> None:
-    tree = ast.parse((HOUSE / "kinegraph.py").read_text(encoding="utf-8"))
+    tree = ast.parse((HOUSE / "kinegraph" / "__init__.py").read_text(encoding="utf-8"))
     typed = {
         alias.asname or alias.name: f"{node.module}:{alias.name}"
         for branch in tree.body
@@ -83,7 +83,8 @@ def test_a_package_offers_all_its_parts_by_short_names(package: str) -> None:
 
 
 def test_short_names_import_nothing_before_they_are_asked_for() -> None:
-    code = "import sys, kinegraph.operators, kinegraph.devices; print([m for m in ('numba', 'scipy', 'pandas', 'pydantic') if m in sys.modules])"
+    heavy = ("numba", "scipy", "pandas", "pydantic")
+    code = f"import sys, kinegraph.operators, kinegraph.devices; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
@@ -156,7 +157,7 @@ def test_a_graph_written_as_python_is_the_same_graph(name: str) -> None:
     if name == "body_markers":
         pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed (extra pose)")
         if not default_model().exists():
-            pytest.skip("the pose network was not fetched (kinegraph fetch pose-model)")
+            pytest.skip("the pose network was not fetched (kinegraph files fetch pose-model)")
     graph = kg.load(name)
     made: dict[str, Any] = {}
     exec(graph.to_python(), made)

@@ -1,4 +1,4 @@
-"""`kinegraph import`, `export`, `info` and `recover` in this process; errors come out as they are raised."""
+"""`kinegraph files import`, `files export`, `info` and `recover` in this process; errors come out as they are raised."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def kinegraph(*arguments: object) -> None:
 
 def imported(tmp_path: Path, *arguments: object) -> Recording:
     target = tmp_path / "made.mcap"
-    kinegraph("import", *arguments, "-o", target)
+    kinegraph("files", "import", *arguments, "-o", target)
     return Recording.open(target)
 
 
 def refused(tmp_path: Path, text: str, *arguments: object) -> None:
     with pytest.raises(RecordingError, match=text):
-        cli.call("import", [*map(str, arguments), "-o", str(tmp_path / "refused.mcap")])
+        cli.call("files import", [*map(str, arguments), "-o", str(tmp_path / "refused.mcap")])
     assert not (tmp_path / "refused.mcap").exists()
 
 

@@ -95,7 +95,7 @@ def cmu_takes(names: Sequence[str]) -> tuple[JointTree, list[Take]]:
 
 
 def recorded(*names: str, within_m: float = 0.12) -> MotionGraph:
-    """The motion graph of CMU sequences, as `kinegraph train graph` makes it."""
+    """The motion graph of CMU sequences, as `kinegraph motion train graph` makes it."""
     tree, takes = cmu_takes(names)
     takes = segmented(tree, takes, RATE)
     clusters = range(1 + max(int(t.cluster.max()) for t in takes))

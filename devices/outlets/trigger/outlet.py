@@ -59,7 +59,7 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
 
     Connect it to a stream behind `operators.timing.gate.Gate`, and the pulse at the first sample is that of the gate's opening. It is given
     when the outlet hears of the sample; a serial line or a network promises no time: take the pulse that the other device recorded, and
-    this outlet's own in the recording, to align the two (`kinegraph pulses`). In replay the outlet is silent.
+    this outlet's own in the recording, to align the two (`kinegraph files compare-clocks`). In replay the outlet is silent.
     """
 
     when: Literal["session", "events"] = param("session", help="a pulse at start and end, or one per event")

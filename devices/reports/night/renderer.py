@@ -61,7 +61,9 @@ class ReportRenderer:
             if not self._at_work:
                 self._begin(next(iter(self._due)))
             if not self._at_work:
-                raise DeviceError("no process could be started to draw the report: try `kinegraph nights report last`")
+                raise DeviceError(
+                    "no process could be started to draw the report: try `kinegraph sleep nights report last`"
+                )
             process, folder = self._at_work
             self._at_work = None
             try:
@@ -73,7 +75,7 @@ class ReportRenderer:
             if not complaint:
                 _written(folder)
             elif folder.is_dir():
-                again = f"try `kinegraph nights report {folder.name} --path {folder.parent}`"
+                again = f"try `kinegraph sleep nights report {folder.name} --path {folder.parent}`"
                 failed.append(f"the report of {folder} is not whole ({complaint}): {again}")
         if failed:
             raise DeviceError("\n".join(failed))

@@ -1,4 +1,4 @@
-"""`kinegraph bedside check`: a minute out of bed, a minute in it for each sleeper, and whether a night can be seen like that."""
+"""`kinegraph sleep check`: a minute out of bed, a minute in it for each sleeper, and whether a night can be seen like that."""
 
 from __future__ import annotations
 
@@ -14,15 +14,7 @@ from kinegraph.stream.chunk import NS, Chunk
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
-bedside = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True)
 
-
-@bedside.callback()
-def group() -> None:
-    """Set up a depth camera over a bed."""
-
-
-@bedside.command("check", context_settings={"help_option_names": ["-h", "--help"]})
 def check(
     config: Annotated[Path, typer.Argument(help="the graph, such as bedside.yaml", metavar="CONFIG")],
     settings: Annotated[list[str] | None, typer.Option("--set", metavar="NODE.PARAMETER=VALUE")] = None,
@@ -33,7 +25,9 @@ def check(
         bool, typer.Option("--simulate", help="a simulated camera in the place of the real one")
     ] = False,
 ) -> None:
-    """Stay out of bed for a minute, lie down, and lie still for a minute: says whether the region holds, noise, and light.
+    """Check a depth camera over a bed: whether the region holds, noise, and light.
+
+    Stay out of bed for a minute, lie down, and lie still for a minute.
 
     Several sleepers lie down one after the other, in the order of their names; anyone whom their region does not hold learns where it is.
 

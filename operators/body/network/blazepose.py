@@ -23,7 +23,7 @@ SIZE, POINTS = 256, 39
 """Pixels along a side of what the network takes; how many points it gives: 33 landmarks and six that help."""
 FILE = "pose_landmark_full.tflite"
 SHA256 = "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f"
-"""The file, and what its bytes must be, as `kinegraph fetch pose-model` brings it."""
+"""The file, and what its bytes must be, as `kinegraph files fetch pose-model` brings it."""
 READ = ((1, 195), (1, 1), (1, 64, 64, POINTS), (1, 117))
 """The outputs that are read, by shape: points, presence, heat, points in metres. A mask of the person is not: depth says it better."""
 _local = threading.local()
@@ -40,7 +40,7 @@ class Raw(NamedTuple):
 
 
 def default_model() -> Path:
-    """Where `kinegraph fetch pose-model` keeps the network."""
+    """Where `kinegraph files fetch pose-model` keeps the network."""
     return Path(platformdirs.user_data_dir("kinegraph")) / "models" / FILE
 
 
@@ -49,11 +49,11 @@ def model_path(model: str) -> Path:
     path = Path(model) if model else default_model()
     if not path.is_file():
         raise ParameterError(
-            "model", model or str(path), "a file that is there; get it with: kinegraph fetch pose-model"
+            "model", model or str(path), "a file that is there; get it with: kinegraph files fetch pose-model"
         )
     if not model and _digest(path) != SHA256:
         raise ParameterError(
-            "model", str(path), "the file that was published; get it again: kinegraph fetch pose-model"
+            "model", str(path), "the file that was published; get it again: kinegraph files fetch pose-model"
         )
     try:
         import ai_edge_litert  # noqa: F401

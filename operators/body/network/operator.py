@@ -57,7 +57,7 @@ class PoseNetworkState:
 class PoseNetwork(Operator[PoseNetworkState]):
     """An image and the depth of one person in it (0 elsewhere, of operators.body.persons.Persons) in, what is seen of that person out.
 
-    BlazePose full (Apache-2.0; `kinegraph fetch pose-model`) by LiteRT, on colour, grey or infrared, some 10 ms a frame: put it on a
+    BlazePose full (Apache-2.0; `kinegraph files fetch pose-model`) by LiteRT, on colour, grey or infrared, some 10 ms a frame: put it on a
     `worker`. It looks where the depth says that the person is, so no frame is spent on finding people. One sample comes out for every
     frame of depth, NaN where nobody is seen or no image was taken within `apart_s`. It can be recorded where images are not, and
     everything after it computed from it again. Images that show another moment than their stamps say, by 50 ms or more, are found out by
@@ -69,7 +69,7 @@ class PoseNetwork(Operator[PoseNetworkState]):
     inputs: ClassVar[tuple[str, ...]] = ("image", "person")
     agrees: ClassVar[str] = "MediaPipe Pose (network, refinement by heat maps, next square)"
 
-    model: str = param("", help="the network's file; left out: the one that `kinegraph fetch pose-model` brings")
+    model: str = param("", help="the network's file; left out: the one that `kinegraph files fetch pose-model` brings")
     needed: bool = param(True, help="false: without the network nobody is seen, and the graph runs on")
     apart_s: float = param(0.02, above=0.0, most=1.0, help="an image and a depth frame further apart are no pair")
     reset_gap_s: float = reset_gap(

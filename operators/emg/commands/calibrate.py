@@ -1,4 +1,4 @@
-"""`kinegraph calibrate`: from a recording, the reference that amplitudes are related to from then on."""
+"""`kinegraph emg calibrate`: from a recording, the reference that amplitudes are related to from then on."""
 
 from __future__ import annotations
 

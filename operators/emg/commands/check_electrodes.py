@@ -1,4 +1,4 @@
-"""`kinegraph check-electrodes`: what each electrode is worth, before the session, with what to do."""
+"""`kinegraph emg check-electrodes`: what each electrode is worth, before the session, with what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kinegraph compare`: muscle activity of several sessions or legs beside each other."""
+"""`kinegraph emg compare`: muscle activity of several sessions or legs beside each other."""
 
 from __future__ import annotations
 

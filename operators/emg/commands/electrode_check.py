@@ -23,7 +23,7 @@ MOST_OHM = 50e3
 """Impedance above which an electrode is doubtful; from ten times that on it is bad."""
 BLOCK_S = 0.1
 HELD_BLOCKS = 5
-"""A contraction is judged by its strongest half second, as `calibrate mvc` does by default: muscles may take turns."""
+"""A contraction is judged by its strongest half second, as `emg calibrate mvc` does by default: muscles may take turns."""
 HELP = {
     **ADVICE,
     "no contraction": "contract this muscle; if you did, look whether the electrode lies over its belly and its cable is plugged in",

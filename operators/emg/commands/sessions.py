@@ -1,4 +1,4 @@
-"""`kinegraph sessions`: an index of the sessions in a folder."""
+"""`kinegraph emg sessions`: an index of the sessions in a folder."""
 
 from __future__ import annotations
 

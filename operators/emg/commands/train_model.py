@@ -1,4 +1,4 @@
-"""`kinegraph train emg-model`: how a person's muscles are usually active, learned from recorded sessions."""
+"""`kinegraph emg train-model`: how a person's muscles are usually active, learned from recorded sessions."""
 
 from __future__ import annotations
 

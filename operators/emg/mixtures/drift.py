@@ -83,7 +83,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
     pace             as of PeakMixtures: the reference and its limit are made a step with each of its samples
 
     distance         one event per mixture (`DISTANCE`): divergence of the latest `cycles` from the mixture of the session's `first`
-                     accepted ones, from that in the file `reference` (`kinegraph train emg-model`), of the mixture from the other leg's
+                     accepted ones, from that in the file `reference` (`kinegraph emg train-model`), of the mixture from the other leg's
     change           alarms: "on" when the divergence exceeds the limit in `windows` windows in a row, "over" when it keeps it as often
 
     The latest cycles' mixture is followed from the reference's: EM begins there, so it has the same modes, wherever they have gone. The

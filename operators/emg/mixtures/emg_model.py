@@ -1,4 +1,4 @@
-"""A stored reference of muscle activity (`kinegraph train emg-model`): mixtures by muscle, and what they may be compared with."""
+"""A stored reference of muscle activity (`kinegraph emg train-model`): mixtures by muscle, and what they may be compared with."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def write_references(
 
 def read_references(path: Path, mixture: StreamSpec, names: list[str]) -> References:
     """The stored references of these muscles, in their order. Raises ModelError, and InputError for mixtures made otherwise."""
-    model = read_model(path, KIND)
+    model = read_model(path, KIND, "emg train-model")
     header = model.header
     mine = {**made_alike(mixture.meta), "circular": mixture.meta["fitting"]["circular"]}
     for what, value in mine.items():

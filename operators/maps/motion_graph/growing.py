@@ -78,7 +78,8 @@ class GrowingGraph(_Turning):
     Of each node's first and last quarter nine windows at most are compared with those of all others, by the neighbour index: one window
     with every frame, so that a node has its edges 20 frames after it was decided. What is near is measured by the closed form of Kovar
     et al.; an edge is what lies within `within_cm`. Only the newest `most_nodes` stretches, and joints of the newest `memory_s`, are
-    compared. No mirror images, and late entries are not ruled out: `kinegraph train graph` makes of the recording what can be walked.
+    compared. No mirror images, and late entries are not ruled out: `kinegraph motion train graph` makes of the recording
+    what can be walked.
 
     Source: thesis, chapter 10; Kovar, Gleicher and Pighin 2002.
     """

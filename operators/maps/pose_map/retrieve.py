@@ -176,7 +176,7 @@ class _Searching(Operator[None]):
 
 @dataclass(frozen=True, slots=True)
 class Retrieve(_Searching):
-    """Queries in; out come the nearest poses or stretches of all sequences of a map (`kinegraph train map`), the nearest first.
+    """Queries in; out come the nearest poses or stretches of all sequences of a map (`kinegraph motion train map`), the nearest first.
 
     in   events of the dtype QUERY: from where to where in the index, how many, the band in s, which markers count (bits; 0: all)
     out  per query one event (ANSWER) for each that was found, then one whose place is -1
@@ -191,7 +191,7 @@ class Retrieve(_Searching):
 
     outputs: ClassVar[tuple[str, ...]] = ("out",)
 
-    model: Path = param(help="a map that `kinegraph train map` has made")
+    model: Path = param(help="a map that `kinegraph motion train map` has made")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -165,7 +165,8 @@ class PoseGrid(Operator[PoseGridState]):
 
     It learns from a random sample of all poses so far (`reservoir` of them), `steps` a frame. Every `learn_s` the new map takes the place
     of the one shown, which does not change in between. Each begins as the one before it, so that cells hardly move. After `maps` of them
-    nothing changes any more. With `model` the map is that of `kinegraph train map`, in the input's unit of length, and nothing is learned.
+    nothing changes any more. With `model` the map is that of `kinegraph motion train map`, in the input's unit of length, and
+    nothing is learned.
 
     Time is counted in whole poses: none is learned in a gap. Channels in the input's `meta["missing"]` are left out. No delay.
 
@@ -181,7 +182,9 @@ class PoseGrid(Operator[PoseGridState]):
     reservoir: int = param(4096, least=2, most=100_000, help="poses that it learns from")
     steps: int = param(3, least=1, most=100, help="steps of learning with every pose")
     seed: int = param(1, least=1, most=2_000_000_000, help="another seed, another sample")
-    model: Path | None = param(None, help="a map that `kinegraph train map` has made; rows and columns are its own")
+    model: Path | None = param(
+        None, help="a map that `kinegraph motion train map` has made; rows and columns are its own"
+    )
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -1,4 +1,4 @@
-"""`kinegraph train pose`: from recordings of whole poses, a model of what markers do not show."""
+"""`kinegraph motion train pose`: from recordings of whole poses, a model of what markers do not show."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def pose(
 ) -> None:
     """Learn what markers do not show of a pose: how bones are turned, where joints without a marker are.
 
-    kinegraph import walk.bvh -o walk.mcap --unit walk=cm; kinegraph train pose walk.mcap -o pose.npz
+    kinegraph files import walk.bvh -o walk.mcap --unit walk=cm; kinegraph motion train pose walk.mcap -o pose.npz
 
     Every stream of poses in the recordings is learned from (BVH and AMC files give one each), and every stream of markers that shows more
     of a body than the model will be given, as those of C3D files may: its pose is found by geometry. The model is for the landmarks that
@@ -150,7 +150,7 @@ def _lessons(
     if tree is None:
         raise KinegraphError(
             "no stream of poses in these recordings, and no markers that show more of a body than the model's landmarks; "
-            "`kinegraph import` makes poses of each AMC file and of each BVH file whose --unit is said, and markers of C3D files"
+            "`kinegraph files import` makes poses of each AMC file and of each BVH file whose --unit is said, and markers of C3D files"
         )
     return lessons, told, tree
 

@@ -1,4 +1,4 @@
-"""`kinegraph evaluate segmentation`: actions and repetitions that were found against annotations."""
+"""`kinegraph motion evaluate`: actions and repetitions that were found against annotations."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SHOWN = {
 }
 
 
-def segmentation(
+def evaluate(
     result: Annotated[
         File | None,
         typer.Argument(
@@ -62,9 +62,9 @@ def segmentation(
 ) -> None:
     """Boundary F1, covering, accuracy and repetitions against annotations, with a picture of each recording.
 
-    kinegraph evaluate segmentation walk.mcap walk.csv --features stack -o scores
+    kinegraph motion evaluate walk.mcap walk.csv --features stack -o scores
 
-    kinegraph evaluate segmentation results --table truth.csv
+    kinegraph motion evaluate results --table truth.csv
 
     Of a batch's results every job is evaluated, and each combination of settings has its own mean.
     """

@@ -106,12 +106,12 @@ class NameRepetitions(Operator[NamingState]):
                  unit), moves (which one that is), symmetry (0 to 1: how alike both sides move, at once or in turn; of two steps, with
                  the second; NaN: not known) and whole_s (duration_s, of the second of two steps with the first)
 
-    `model` is a file that `kinegraph teach` wrote. What lies too far from all that was shown is "unknown". Without a model clusters
+    `model` is a file that `kinegraph motion label` wrote. What lies too far from all that was shown is "unknown". Without a model clusters
     are named by letters: A, B, ..., what is believed by that of the repetition before it. Two repetitions are compared by warping in
     time, from whichever phase of the cycle is best.
     An annotation teaches up to 5 repetitions of the activity under way, those that are final already among them, or of the next one where
-    none is under way; up to 32 names. `kinegraph teach` makes a model of the recording. A repetition longer than `window_s`, or told later
-    than that, is unknown, and its numbers NaN.
+    none is under way; up to 32 names. `kinegraph motion label` makes a model of the recording. A repetition longer than `window_s`, or told
+    later than that, is unknown, and its numbers NaN.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "mirrored", "radius", "annotations", "provisional", "primitive")
@@ -119,7 +119,9 @@ class NameRepetitions(Operator[NamingState]):
     optional: ClassVar[tuple[str, ...]] = ("mirrored", "radius", "annotations", "provisional")
     outputs: ClassVar[tuple[str, ...]] = ("believed", "repetition")
 
-    model: str = param("", help="the exercises that `kinegraph teach` wrote; without: clusters are named by letters")
+    model: str = param(
+        "", help="the exercises that `kinegraph motion label` wrote; without: clusters are named by letters"
+    )
     window_s: float = param(60.0, above=0.0, most=600.0, help="how much of the features is kept")
 
     def open(self, specs: Specs) -> Specs:

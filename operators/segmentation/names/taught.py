@@ -1,4 +1,4 @@
-"""Exercises that somebody has shown: named repetitions, as `kinegraph teach` keeps them, and what a repetition is called by them."""
+"""Exercises that somebody has shown: named repetitions, as `kinegraph motion label` keeps them, and what a repetition is called by them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Taught:
     @classmethod
     def read(cls, path: Path, port: str, spec: StreamSpec) -> Taught:
         """Raises ModelError, or InputError where the model was made from other features."""
-        model = read_model(path, KIND, "teach")
+        model = read_model(path, KIND, "motion label")
         model.check_input(port, spec)
         names = _names(model)
         lengths = model.array("lengths", (None,), np.int64)

@@ -1,4 +1,4 @@
-"""`kinegraph evaluate sleep`: estimated sleep against reference hypnograms."""
+"""`kinegraph sleep evaluate`: estimated sleep against reference hypnograms."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from kinegraph.operators.sleep.evaluation.comparison import Pair
 
 
-def sleep(
+def evaluate(
     estimate: Annotated[
         File | None,
         typer.Argument(
@@ -53,11 +53,11 @@ def sleep(
 ) -> None:
     """Sensitivity, specificity, kappa, and Bland-Altman limits of TST, SOL and WASO, against a reference hypnogram.
 
-    kinegraph evaluate sleep nights/2026-11-20/hypnogram.edf psg.edf --offset -12 -o agreement
+    kinegraph sleep evaluate nights/2026-11-20/hypnogram.edf psg.edf --offset -12 -o agreement
 
-    kinegraph evaluate sleep results --nights nights.csv
+    kinegraph sleep evaluate results --nights nights.csv
 
-    kinegraph evaluate sleep --nights nights.csv --report validation --study study.csv
+    kinegraph sleep evaluate --nights nights.csv --report validation --study study.csv
 
     Of a batch's results every job is evaluated, and each combination of settings has its own tables.
 

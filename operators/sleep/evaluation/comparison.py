@@ -1,4 +1,4 @@
-"""Nights of estimated sleep against reference hypnograms: what `kinegraph evaluate sleep` reckons and shows."""
+"""Nights of estimated sleep against reference hypnograms: what `kinegraph sleep evaluate` reckons and shows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kinegraph train steering`: from a recording of a moving mesh, a model that moves it with a few markers."""
+"""`kinegraph motion train steering`: from a recording of a moving mesh, a model that moves it with a few markers."""
 
 from __future__ import annotations
 
@@ -359,7 +359,8 @@ def _frames(recordings: list[File]) -> tuple[Samples, Topology, Axes | None]:
                     found.append(np.asarray(opened.read(name)[1], np.float64))
     if mesh is None:
         raise KinegraphError(
-            "no stream of a mesh in these recordings; `kinegraph import` makes one of a moving mesh: OBJ or PLY files, one a frame, or glTF"
+            "no stream of a mesh in these recordings; "
+            "`kinegraph files import` makes one of a moving mesh: OBJ or PLY files, one a frame, or glTF"
         )
     frames = np.concatenate(found)
     frames = frames[np.isfinite(frames).all(axis=(1, 2))]

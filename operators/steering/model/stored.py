@@ -19,7 +19,7 @@ from kinegraph.stream.data.model_file import Model, ModelError
 from kinegraph.stream.domain.mesh import Topology
 
 KIND = "mesh"
-MAKER = "train steering"
+MAKER = "motion train steering"
 SETTLING = ("turns", "begins", "others", "own", "theirs", "weights", "spread", "solve")
 FRAME = ("weights", "usual", "shares")
 GRAPH = ("lead", "edges", "before", "lengths", "shares", "still")

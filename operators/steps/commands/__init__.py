@@ -1,1 +1,1 @@
-"""Forests learned from labelled recordings, and how far they can be trusted: what `kinegraph train steps` does."""
+"""Forests learned from labelled recordings, and how far they can be trusted: what `kinegraph motion train steps` does."""

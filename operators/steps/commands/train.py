@@ -1,4 +1,4 @@
-"""`kinegraph train steps`: a forest that tells something of people by their steps, with what it is worth."""
+"""`kinegraph motion train steps`: a forest that tells something of people by their steps, with what it is worth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kinegraph schema`: the JSON Schema with which an editor completes and checks a graph while it is written."""
+"""`kinegraph dev schema`: the JSON Schema with which an editor completes and checks a graph while it is written."""
 
 from __future__ import annotations
 

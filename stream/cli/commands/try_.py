@@ -1,4 +1,4 @@
-"""`kinegraph try`: hold an operator to the laws, before it meets a device."""
+"""`kinegraph dev try`: hold an operator to the laws, before it meets a device."""
 
 from __future__ import annotations
 

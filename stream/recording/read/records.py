@@ -101,7 +101,7 @@ class RecordFile:
             )
         if magic != MAGIC:
             raise RecordingError(
-                f"{self.path}: not an MCAP recording; CSV, NPZ and XDF files are read by `kinegraph import`"
+                f"{self.path}: not an MCAP recording; CSV, NPZ and XDF files are read by `kinegraph files import`"
             )
 
     def close(self) -> None:

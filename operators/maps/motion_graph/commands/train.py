@@ -1,4 +1,4 @@
-"""`kinegraph train graph`: from recordings of motion, a graph on which new motion is walked."""
+"""`kinegraph motion train graph`: from recordings of motion, a graph on which new motion is walked."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def graph(
 ) -> None:
     """Learn where recorded motion may go over into other recorded motion (thesis, chapter 10).
 
-    kinegraph import walk.bvh -o walk.mcap --unit walk=cm; kinegraph train graph walk.mcap --call walk=0-12 -o graph.npz
+    kinegraph files import walk.bvh -o walk.mcap --unit walk=cm; kinegraph motion train graph walk.mcap --call walk=0-12 -o graph.npz
 
     Every stream of poses of a human is used (BVH and AMC files give one each), at the bone lengths of the first. Primitives are those that
     a recording holds (the output `primitive` of operators.segmentation.Segment); one without is segmented now. devices.synthesis walks it.
@@ -189,7 +189,8 @@ def read_takes(recordings: list[File], rate_hz: float) -> tuple[JointTree, list[
                     say(f"{path}: {name}: {len(made) / rate_hz:.1f} s")
     if tree is None:
         raise KinegraphError(
-            "no stream of poses in these recordings (or one pose only); `kinegraph import` makes one of each BVH file whose --unit is said"
+            "no stream of poses in these recordings (or one pose only); "
+            "`kinegraph files import` makes one of each BVH file whose --unit is said"
         )
     return tree, takes
 

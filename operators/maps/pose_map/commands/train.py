@@ -1,4 +1,4 @@
-"""`kinegraph train map`: from recordings of motion, a map of all poses in them."""
+"""`kinegraph motion train map`: from recordings of motion, a map of all poses in them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def map_(
 
     bones: [[withers, sacrum], [withers, poll]]   # optional; up: z, if z points up in the recordings
 
-    Without it the first recording's own markers are the set. `kinegraph map` shows the map.
+    Without it the first recording's own markers are the set. `kinegraph motion map` shows the map.
     """
     from kinegraph.operators.maps.pose_map.commands.build import build_index
     from kinegraph.operators.maps.pose_map.commands.gather import PoseReading

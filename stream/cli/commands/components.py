@@ -1,4 +1,4 @@
-"""`kinegraph parts`: what a graph can be made of, and what each thing takes and gives."""
+"""`kinegraph components`: what a graph can be made of, and what each thing takes and gives."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WIDEST = 130
 BOUNDS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
 
 
-def parts(
+def components(
     name: Annotated[
         str, typer.Argument(metavar="[NAME]", help="a dotted path, a class name, or a word to search for")
     ] = "",
@@ -45,7 +45,11 @@ def parts(
     hits = exact or [path for path, part in found.items() if name.lower() in f"{path} {_first_line(part)}".lower()]
     if not hits:
         classes = {path.rpartition(".")[2] for path in found}
-        hint = nearest(name, classes) if get_close_matches(name, classes) else "`kinegraph parts` lists all components"
+        hint = (
+            nearest(name, classes)
+            if get_close_matches(name, classes)
+            else "`kinegraph components` lists all components"
+        )
         raise KinegraphError(f"no component matches {name!r}; {hint}")
     if len(hits) == 1:
         _show(hits[0], found[hits[0]])

@@ -1,4 +1,4 @@
-"""`kinegraph pulses`: how the clocks of two recordings lie, by a train of pulses in both."""
+"""`kinegraph files compare-clocks`: how the clocks of two recordings lie, by a train of pulses in both."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
 
-def pulses(
+def compare_clocks(
     first: Annotated[Path, typer.Argument(help="the recording whose clock counts", metavar="FIRST")],
     second: Annotated[Path, typer.Argument(help="the other recording", metavar="SECOND")],
     stream: Annotated[

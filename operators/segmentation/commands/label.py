@@ -1,4 +1,4 @@
-"""`kinegraph teach`: names for exercises, from a recording in which somebody shows them."""
+"""`kinegraph motion label`: names for exercises, from a recording in which somebody shows them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Exemplar:
     last_s: float
 
 
-def teach(
+def label(
     recording: Annotated[
         File,
         typer.Argument(metavar="RECORDING", help="what `kinegraph run` or `replay` made of configs/segment_mocap.yaml"),
@@ -50,8 +50,8 @@ def teach(
 
     The repetitions found in the given seconds are kept as examples.
 
-    kinegraph teach session "squat=12.0-30.5" "arms=1-12" -o exercises.npz
-    kinegraph teach session                       (by what was said while it ran: "this is: squat")
+    kinegraph motion label session "squat=12.0-30.5" "arms=1-12" -o exercises.npz
+    kinegraph motion label session                       (by what was said while it ran: "this is: squat")
 
     Then name the model in the graph: `model: exercises.npz` of operators.segmentation.names.naming.NameRepetitions. The same name may be
     given several times.
