@@ -11,9 +11,20 @@ import pytest
 from kinegraph.stream.cli.registry import GROUPS, RENAMED, names
 from tests.support.command_line import Command, refused
 
-TOP = set(
-    ["run", "replay", "check", "draw", "components", "configs", "info", "recover", "record", "devices", "view", "batch"]
-)
+TOP = {
+    "run",
+    "replay",
+    "check",
+    "draw",
+    "components",
+    "configs",
+    "info",
+    "recover",
+    "record",
+    "devices",
+    "view",
+    "batch",
+}
 ENTRIES = """[kinegraph.commands]
 measure = lab:measure
 gait.walk = lab:walk
