@@ -38,7 +38,7 @@ def received(
         command = [
             sys.executable,
             "-m",
-            "kinegraph.stream",
+            "kinegraph",
             "run",
             config,
             "--for",

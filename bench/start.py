@@ -43,7 +43,7 @@ def _start(folder: Path, i: int) -> float:
     command = [
         sys.executable,
         "-m",
-        "kinegraph.stream",
+        "kinegraph",
         "run",
         str(config),
         "--out",

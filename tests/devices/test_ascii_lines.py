@@ -243,14 +243,14 @@ def test_a_header_is_awaited_and_its_absence_told(monkeypatch: pytest.MonkeyPatc
     with served(columns=("t", "a", "b"), time="t", header=True) as server:
         with reading(AsciiLines(server.address, ("b", "t"), header=True, time="t", rate_hz=500.0)) as feed:
             wait_for(lambda: feed.count("out") >= 50)
-        monkeypatch.setattr("kinegraph.devices.lines.HEADER_S", 0.5)
+        monkeypatch.setattr("kinegraph.devices.lines.source.HEADER_S", 0.5)
         with reading(AsciiLines(server.address, ("b", "c"), header=True)) as feed:
             wait_for(lambda: feed.error is not None)
     assert isinstance(feed.error, DeviceError) and "a line that names b,c; came" in str(feed.error)
 
 
 def test_lines_of_another_kind_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinegraph.devices.lines.FIRST_LINE_S", 0.4)
+    monkeypatch.setattr("kinegraph.devices.lines.source.FIRST_LINE_S", 0.4)
     with served(columns=("a", "b")) as server, reading(AsciiLines(server.address, ("a", "b", "c"))) as feed:
         wait_for(lambda: feed.error is not None)
     assert "expected 3 numbers, a,b,c; came" in str(feed.error) and feed.problems["bad line"] > 10

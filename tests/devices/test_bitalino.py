@@ -236,7 +236,7 @@ def test_a_wrong_answer_is_told(answer: bytes, told: str, monkeypatch: pytest.Mo
         def _obey(self, command: int) -> bytes:
             return answer if command == 0x07 else super()._obey(command)
 
-    monkeypatch.setattr("kinegraph.devices.bitalino.ANSWER_S", 0.4)
+    monkeypatch.setattr("kinegraph.devices.bitalino.source.ANSWER_S", 0.4)
     feed = read(Other(), 1)
     assert isinstance(feed.error, DeviceError) and told in str(feed.error)
 

@@ -293,15 +293,15 @@ class Emulator(CytonModel):
 
 
 def test_a_board_that_answers_nothing_but_the_reset_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinegraph.devices.cyton.ASIDE_S", 0.2)
+    monkeypatch.setattr("kinegraph.devices.cyton.source.ASIDE_S", 0.2)
     with served(Emulator()) as server, reading(Cyton(server.address)) as feed:
         wait_for(lambda: feed.count("emg") > 100 or feed.error is not None)
     assert feed.error is None and feed.problems["no answer to 'd'"] == 1
 
 
 def test_settings_that_the_board_does_not_confirm_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinegraph.devices.cyton.ASIDE_S", 0.1)
-    monkeypatch.setattr("kinegraph.devices.cyton.ANSWER_S", 0.2)
+    monkeypatch.setattr("kinegraph.devices.cyton.source.ASIDE_S", 0.1)
+    monkeypatch.setattr("kinegraph.devices.cyton.source.ANSWER_S", 0.2)
     source = replace(Cyton(""), settings=(ChannelSetting(1, gain=1),))
     with served(Answers({"v": b"OpenBCI Emulator $$$"})) as server:
         server.brain._set_channel = lambda command: b""  # type: ignore[attr-defined]
@@ -323,7 +323,7 @@ def test_settings_that_the_board_does_not_confirm_are_refused(monkeypatch: pytes
 def test_a_wrong_answer_is_told(
     words: dict[str, bytes], source: dict[str, bool], told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("kinegraph.devices.cyton.ANSWER_S", 0.4)
+    monkeypatch.setattr("kinegraph.devices.cyton.source.ANSWER_S", 0.4)
     with served(Answers(words)) as server, reading(Cyton(server.address, **source)) as feed:
         wait_for(lambda: feed.error is not None)
     assert isinstance(feed.error, DeviceError) and told in str(feed.error)

@@ -307,7 +307,7 @@ def recorded(folder: Path, *more: str) -> Iterator[Recording]:
     command = [
         sys.executable,
         "-m",
-        "kinegraph.stream",
+        "kinegraph",
         "run",
         str(CONFIG),
         "--simulate",

@@ -517,7 +517,7 @@ class TestSimulated:
         assert -1 in feed.lost("markers").values() and (np.diff(feed.time("markers")) > 0).all()
 
     def test_a_network_that_says_nothing_is_an_error(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("kinegraph.devices.oak.FIRST_FRAME_S", 0.5)
+        monkeypatch.setattr("kinegraph.devices.oak.source.FIRST_FRAME_S", 0.5)
         with plugged_in() as (source, _):
             monkeypatch.setattr(
                 "kinegraph.devices.oak.simulator.RunningScene._sight", lambda self, frame: self._dai.ADatatype()

@@ -242,7 +242,7 @@ def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:
         command = [
             sys.executable,
             "-m",
-            "kinegraph.stream",
+            "kinegraph",
             "run",
             str(CONFIGS / "cyton_emg.yaml"),
             "--set",

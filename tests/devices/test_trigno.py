@@ -184,7 +184,7 @@ def test_an_old_server_that_knows_few_commands_will_do(monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(("greeting", "told"), [(b"SSH-2.0\r\n\r\n", "53 53 48"), (b"", "came nothing")])
 def test_another_server_is_told(greeting: bytes, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinegraph.devices.trigno.ANSWER_S", 0.3)
+    monkeypatch.setattr("kinegraph.devices.trigno.source.ANSWER_S", 0.3)
     server = socket.create_server(("127.0.0.1", 0))
     with server, reading(Trigno(f"tcp://127.0.0.1:{server.getsockname()[1]}", SENSORS)) as feed:
         client, _ = server.accept()
@@ -199,7 +199,7 @@ def test_a_server_that_falls_silent_is_opened_again(monkeypatch: pytest.MonkeyPa
         def say(self, seconds: float) -> list[bytes]:
             return super().say(seconds) if self._said < 20 else []
 
-    monkeypatch.setattr("kinegraph.devices.trigno.SILENCE_S", 0.5)
+    monkeypatch.setattr("kinegraph.devices.trigno.source.SILENCE_S", 0.5)
     feed = read(Silent(), 10**9)
     assert isinstance(feed.error, DeviceError) and "no samples of emg" in str(feed.error)
 

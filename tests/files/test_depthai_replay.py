@@ -165,7 +165,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     command = [
         sys.executable,
         "-m",
-        "kinegraph.stream",
+        "kinegraph",
         "dev",
         "simulate",
         "oak",
@@ -226,7 +226,7 @@ class TestWithDepthai:
         command = [
             sys.executable,
             "-m",
-            "kinegraph.stream",
+            "kinegraph",
             "dev",
             "simulate",
             "oak",

@@ -114,7 +114,7 @@ def test_a_bad_csv_ends_the_command_with_its_message_and_an_exit_code(tmp_path: 
     command = [
         sys.executable,
         "-m",
-        "kinegraph.stream",
+        "kinegraph",
         "files",
         "import",
         str(tmp_path / "bad.csv"),

@@ -61,7 +61,7 @@ def grown(use: Use, folder: Path, hours: float = 10.0) -> Growth:
     call = [
         sys.executable,
         "-m",
-        "kinegraph.stream",
+        "kinegraph",
         "run",
         use.config,
         *settings,
