@@ -23,6 +23,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.recording import Recording
 from kinegraph.stream.recording.series import Series, write_recording
 from tests.avatar.test_whole_pose import POSES, RATE, TREE, N, marks, played
+from tests.support.command_line import call_command
 from tests.support.real import needs_data
 
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
@@ -71,7 +72,7 @@ def acclaim(folder: Path, frames: int = 90) -> list[Path]:
 
 def kinegraph(*arguments: object) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     assert not ended.value.code
 
 

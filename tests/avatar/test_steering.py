@@ -31,6 +31,7 @@ from kinegraph.stream.operator import grid
 from kinegraph.stream.recording import Recording
 from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS, made
+from tests.support.command_line import call_command
 
 NAMES = tuple(marked())
 NUMBERS = list(marked().values())
@@ -225,7 +226,7 @@ def test_a_mesh_is_imported_trained_and_steered_by_commands(tmp_path: Path) -> N
 
 def kinegraph(*arguments: object) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     assert not ended.value.code
 
 

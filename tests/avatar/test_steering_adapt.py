@@ -32,6 +32,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.operator import grid
 from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
+from tests.support.command_line import call_command
 
 NAMES, AT = tuple(marked()), np.array(list(marked().values()))
 FACES = topology().faces
@@ -300,7 +301,7 @@ def test_another_gait_of_another_body_moves_the_mesh_in_its_own_time(size: float
 
 def kinegraph(*arguments: object) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     assert not ended.value.code
 
 

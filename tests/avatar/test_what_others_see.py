@@ -17,6 +17,7 @@ from kinegraph.devices.osc.vmc_frames import VmcFrames
 from kinegraph.devices.osc.vmc_outlet import VmcOutlet
 from kinegraph.devices.people.performer import true_pose
 from kinegraph.stream.chunk import Chunk, Samples
+from kinegraph.stream.domain.axes import BODY, FACED
 from kinegraph.stream.domain.humanoid import BONES, usual_body
 from kinegraph.stream.domain.skeleton import JointTree, joints_of
 from kinegraph.stream.recording import Recording
@@ -62,13 +63,14 @@ def test_limbs_point_where_a_real_kinects_do(name: str, tmp_path: Path) -> None:
         markers, poses = (recording.read(stream)[1] for stream in ("performer.markers", "body.pose"))
         marks = recording.streams["performer.markers"].spec.channels
         tree = JointTree.of(recording.streams["body.pose"].spec)
+        columns, signs = FACED.to(BODY)  # a Kinect sees people who face it
     assert len(poses) == 600 and np.isfinite(poses).all()
     joints = joints_of(tree, poses)[1]
     off = []
     for bone, (a, b) in LIMBS.items():
         end = next(bone.replace(k, v) for k, v in ENDS.items() if k in bone)
         mine = towards(*(joints[:, BONES.index(joint)] for joint in (bone, end)))
-        seen = towards(*(markers[:, marks.index(mark)] for mark in (a, b)))
+        seen = towards(*(markers[:, marks.index(mark)][:, columns] * signs for mark in (a, b)))
         off.append(np.degrees(np.arccos((mine * seen).sum(axis=1).clip(-1.0, 1.0))))
     print({bone: round(float(np.median(angle)), 1) for bone, angle in zip(LIMBS, off, strict=True)})
     assert np.median(off) < 8.0 and np.quantile(off, 0.9) < 25.0

@@ -22,11 +22,11 @@ from kinegraph.devices.people.performer import true_pose
 from kinegraph.devices.people.quadruped import marked, topology, walking
 from kinegraph.operators.steering.model.parts import edges_of, seams_of
 from kinegraph.stream.chunk import Samples
-from kinegraph.stream.cli import main as cli
 from kinegraph.stream.domain.humanoid import usual_body
 from kinegraph.stream.domain.skeleton import joints_of
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.recording import Recording
+from tests.support.command_line import call_command
 
 FRAMES = np.array([walking(k / 24) for k in range(24)])
 THREE = "three@0.187.0"
@@ -34,7 +34,7 @@ THREE = "three@0.187.0"
 
 def kinegraph(*words: object) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(words[0]), [str(word) for word in words[1:]])
+        call_command(*words)
     assert not ended.value.code
 
 

@@ -16,10 +16,10 @@ from kinegraph.operators.steps.classifier import SHIPPED, StepClassifier
 from kinegraph.operators.steps.forest import StepModel
 from kinegraph.operators.steps.steps import Steps
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
-from kinegraph.stream.cli import main as cli
 from kinegraph.stream.operator import grid
 from kinegraph.stream.recording import Recording
 from kinegraph.stream.recording.series import Series, write_recording
+from tests.support.command_line import call_command
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "step_biometrics.yaml"
 CHANNELS, UNITS = ("ax", "ay", "az", "gx", "gy", "gz"), ("m/s2",) * 3 + ("rad/s",) * 3
@@ -27,7 +27,7 @@ CHANNELS, UNITS = ("ax", "ay", "az", "gx", "gy", "gz"), ("m/s2",) * 3 + ("rad/s"
 
 def kinegraph(*arguments: object) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     assert not ended.value.code
 
 

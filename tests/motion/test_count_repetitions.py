@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinegraph.operators.segmentation.evaluation.found import read_found
-from kinegraph.stream.cli import main as cli
+from tests.support.command_line import call_command
 from tests.support.real import needs_data
 
 COUNTER = Path(__file__).resolve().parents[2] / "configs" / "count_repetitions.yaml"
@@ -18,7 +18,7 @@ DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
 
 def kinegraph(*arguments):
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     assert not ended.value.code
 
 

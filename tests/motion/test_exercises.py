@@ -18,6 +18,7 @@ from kinegraph.stream.data.model_file import ModelError
 from kinegraph.stream.errors import InputError, KinegraphError
 from kinegraph.stream.manual import ANNOTATION
 from kinegraph.stream.operator import grid
+from tests.support.command_line import call_command
 from tests.support.exercise_events import EVENTS
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -245,7 +246,7 @@ def test_one_repetition_alone_says_nothing_of_how_far_others_may_be() -> None:
 
 def kinegraph(*arguments: object) -> int | str | None:
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     return ended.value.code
 
 

@@ -14,9 +14,9 @@ from kinegraph.operators.segmentation.evaluation.found import read_found
 from kinegraph.operators.segmentation.evaluation.scores import score
 from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
 from kinegraph.stream.chunk import NS, StreamSpec
-from kinegraph.stream.cli import main as cli
 from kinegraph.stream.graph.reading.load import read_expanded
 from kinegraph.stream.recording import Recording
+from tests.support.command_line import call_command
 from tests.support.real import needs_data, real_file
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -25,7 +25,7 @@ DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
 
 def kinegraph(*arguments):
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     assert not ended.value.code
 
 

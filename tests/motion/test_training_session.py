@@ -12,8 +12,8 @@ import pytest
 
 from kinegraph.devices.people.exerciser import Exerciser, Routine
 from kinegraph.stream.chunk import NS
-from kinegraph.stream.cli import main as cli
 from kinegraph.stream.recording import Recording
+from tests.support.command_line import call_command
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "segment_kinect.yaml"
 DONE = ("arms", "squat", "knees")
@@ -22,7 +22,7 @@ TEN = 10
 
 def kinegraph(*arguments: object) -> None:
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     assert not ended.value.code
 
 

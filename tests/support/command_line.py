@@ -16,6 +16,8 @@ from typing import Any
 import pytest
 import structlog
 
+from kinegraph.stream.cli import main, registry
+
 KINEGRAPH = Path(sys.executable).parent / "kinegraph"
 BOARD = "nodes:\n  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: %s}\n"
 GRAPH = BOARD % 2 + "  rect: {use: operators.filters.rectify.Rectify, from: board.emg}\nrecord: [rect]\n"
@@ -46,6 +48,14 @@ def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
 
     yield call
     structlog.reset_defaults()
+
+
+def call_command(*words: object) -> None:
+    """A command in this process, with its group; errors come out as they are raised."""
+    arguments = [*map(str, words)]
+    name = registry.command_in(arguments)
+    assert name, f"there is no command in {arguments}"
+    main.call(name, arguments[len(name.split()) :])
 
 
 def refused(told: Told, *words: str, code: int = 2) -> None:

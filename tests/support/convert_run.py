@@ -13,6 +13,7 @@ from kinegraph.stream.chunk import FOREVER
 from kinegraph.stream.cli import main as cli
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.recording import Recording
+from tests.support.command_line import call_command
 
 DATA = Path(os.environ["KINEGRAPH_DATA"]) if os.environ.get("KINEGRAPH_DATA") else None
 
@@ -20,7 +21,7 @@ DATA = Path(os.environ["KINEGRAPH_DATA"]) if os.environ.get("KINEGRAPH_DATA") el
 def kinegraph(*arguments: object) -> None:
     """A command, in this process; errors come out as they are raised."""
     with pytest.raises(SystemExit) as ended:
-        cli.call(str(arguments[0]), [str(a) for a in arguments[1:]])
+        call_command(*arguments)
     assert not ended.value.code
 
 
