@@ -14,6 +14,7 @@ from kinegraph.stream.engine.session import Session
 from kinegraph.stream.graph.reading.load import load, load_text
 from kinegraph.stream.recording import Recording
 from kinegraph.stream.recording.series import Series, write_recording
+from kinegraph.stream.text.short_names import whole_name
 from tests.golden import ANSWERS, evenly, table
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
@@ -80,7 +81,8 @@ def answer(name: str) -> str:
             counts = [f"{edge} {len(time)}" for edge, (time, _) in read.items()]
             lines += [", ".join(counts[k : k + 9]) for k in range(0, len(counts), 9)]
             for edge, most in SHOWN[name].items():
-                time, data = read[edge]
+                whole = whole_name(edge, read)
+                time, data = read[whole]
                 rows = evenly(len(time), most)
-                lines += ["", *table(edge, made.streams[edge].spec, time, data, rows, START, mean=True)]
+                lines += ["", *table(edge, made.streams[whole].spec, time, data, rows, START, mean=True)]
     return "".join(f"{line.rstrip()}\n" for line in lines)
