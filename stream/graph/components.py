@@ -26,7 +26,7 @@ from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.source import Source
 from kinegraph.stream.system import names
 
-PACKAGES = ("operators", "devices", "stream.manual", "stream.api.input")
+PACKAGES = ("operators", "devices", "stream.manual")
 GROUP = "kinegraph.parts"
 """Entry points by which an installed package says where its sources, operators and outlets are: `gait_lab = "gait_lab.operators"`."""
 OURS = ("kinegraph", *names.PACKAGES)

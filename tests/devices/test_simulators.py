@@ -223,7 +223,7 @@ def test_the_command_prints_an_address_that_can_be_opened() -> None:
         (["cyton", "--at", "here"], "write tcp://host:port"),
         (["trigno", "reset_every_s=5"], "reset_every_s is 5; it must be 0, as its samples have no counter"),
         (["lsl", "corrupt=0.1"], "TCP, which lets no changed byte pass"),
-        (["ascii_lines", "columns=[emg]", "reset_every_s=5"], "neither a time nor a counter"),
+        (["lines", "columns=[emg]", "reset_every_s=5"], "neither a time nor a counter"),
     ],
 )
 def test_the_command_tells_what_is_wrong(arguments: list[str], told: str) -> None:
