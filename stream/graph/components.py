@@ -195,7 +195,7 @@ def _import(name: str, use: str) -> ModuleType:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         if error.name and (name == error.name or name.startswith(error.name + ".")):
-            raise UseError(f"there is no module {error.name!r}{_similar(use)}") from None
+            raise UseError(f"there is no module {error.name.removeprefix(names.ROOT)!r}{_similar(use)}") from None
         raise UseError(f"{name} could not be imported: {explain(error)}") from error
     except KinegraphError as error:
         raise UseError(str(error)) from error

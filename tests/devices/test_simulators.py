@@ -188,13 +188,14 @@ def test_simulators_are_found_by_name() -> None:
         assert kind.__doc__, name
 
 
-def kinegraph(*arguments: str, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
+def kinegraph(*arguments: str, timeout_s: float = 120.0, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "kinegraph", *arguments],
         capture_output=True,
         text=True,
         timeout=timeout_s,
         stdin=subprocess.DEVNULL,
+        cwd=cwd,
         env={**os.environ, "COLUMNS": "160"},
     )
 
@@ -292,7 +293,9 @@ def test_a_config_runs_without_hardware(config: Path, tmp_path: Path) -> None:
         pose_network_or_skip()
     out = tmp_path / "session"
     keep = ("--set", "recording.rolling=false")
-    done = kinegraph("run", str(config), "--simulate", "--for", "3", "-o", str(out), "--view", "none", *keep)
+    done = kinegraph(
+        "run", str(config), "--simulate", "--for", "3", "-o", str(out), "--view", "none", *keep, cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     info = kinegraph("info", str(out)).stdout
     assert "simulated_sources" in info

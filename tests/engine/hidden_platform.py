@@ -39,7 +39,7 @@ def main() -> None:
     sys.meta_path.insert(0, Hidden())  # type: ignore[arg-type]
     refuse_all_but_sockets()
     failed = {}
-    for package in ("stream", "devices", "operators", "kinegraph"):
+    for package in ("kinegraph.stream", "kinegraph.devices", "kinegraph.operators", "kinegraph"):
         module = importlib.import_module(package)
         for info in pkgutil.walk_packages(getattr(module, "__path__", []), f"{package}."):
             if not info.name.endswith("__main__"):

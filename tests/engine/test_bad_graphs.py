@@ -63,9 +63,9 @@ def test_a_graph_that_cannot_be(text: str | bytes, words: list[str], kinegraph: 
 
 
 SETTINGS = [
-    ("x", "it must be NODE.PARAMETER=VALUE"),
-    ("=5", "it must be NODE.PARAMETER=VALUE"),
-    ("board.duration_s", "it must be NODE.PARAMETER=VALUE"),
+    ("x", "it must be NAME=VALUE"),
+    ("=5", "it must be NAME=VALUE"),
+    ("board.duration_s", "it must be NAME=VALUE"),
     ("board.duration_s=", "duration_s is empty"),
     ("board.duration_s=[1,", "this is not YAML"),
     ("board.seed=&a [*a]", "contain themselves"),
@@ -86,7 +86,7 @@ def test_arguments_that_cannot_be(kinegraph: Command, made: Path, tmp_path: Path
     graph = made / "graph.yaml"
     (tmp_path / "file").write_text("x")
     refused(kinegraph(), "usage: kinegraph COMMAND")
-    refused(kinegraph("runn"), "did you mean 'run'?")
+    refused(kinegraph("runn"), "did you mean 'kinegraph run'?")
     refused(kinegraph("run"), "Missing argument")
     refused(kinegraph("run", graph, "--nope"), "No such option")
     refused(kinegraph("run", "none.yaml"), "none.yaml: the graph cannot be read: No such file")

@@ -39,7 +39,7 @@ def test_the_first_signal_ends_a_warm_up(sent: signal.Signals, tmp_path: Path) -
 SLOW_LINK = """
 import signal, sys, time
 from llvmlite.binding import ffi, linker
-import kinegraph.stream.cli.main
+from kinegraph.stream.cli import main
 
 link = ffi.lib.LLVMPY_LinkModules
 def interrupted(*modules):
@@ -54,7 +54,7 @@ def interrupted(*modules):
 
 number = int(sys.argv.pop())
 ffi.lib._fntab["LLVMPY_LinkModules"] = interrupted
-stream.cli.main.main()
+main.main()
 """
 
 

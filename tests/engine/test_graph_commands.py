@@ -37,7 +37,7 @@ def test_check_shows_nodes_and_paths(good: Path, capsys: pytest.CaptureFixture[s
     check(good)
     shown = capsys.readouterr().out
     rows = [" ".join(line.split()) for line in shown.splitlines()]
-    assert "low graph_parts.Low board.emg 2 channels float64 at 1000 Hz in uV" in rows
+    assert "low graph_parts.Low board.emg 2 channels float64 at 1000 Hz in µV" in rows
     assert "touchdown: board.touchdown" in shown and "rejected: events (onset), irregular" in shown
     assert "board -> low -> cycles -> screen" in shown and "low 4 ms + cycles 50 ms = 54 ms" in shown
     assert "OK: delay at most 54 ms (budget 200 ms)" in shown
@@ -82,11 +82,11 @@ def test_draw_mermaid_and_dot(good: Path, capsys: pytest.CaptureFixture[str]) ->
     draw(good, DrawingFormat.mermaid)
     text = capsys.readouterr().out
     assert text.startswith("flowchart LR\n") and 'n0(["board<br/>graph_parts.Board"])' in text
-    assert 'n0 -- "emg: 2 channels float64 at 1000 Hz in uV" --> n1' in text
+    assert 'n0 -- "emg: 2 channels float64 at 1000 Hz in µV" --> n1' in text
     draw(good, DrawingFormat.dot)
     text = capsys.readouterr().out
     assert text.startswith('digraph "walking" {') and text.endswith("}\n")
-    assert 'n0 -> n1 [label="emg: 2 channels float64 at 1000 Hz in uV"];' in text
+    assert 'n0 -> n1 [label="emg: 2 channels float64 at 1000 Hz in µV"];' in text
     draw(good, DrawingFormat.dot, ['name=the "big" walk'])
     assert capsys.readouterr().out.startswith(r'digraph "the \"big\" walk" {')
 

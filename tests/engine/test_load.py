@@ -162,7 +162,7 @@ NODE_ERRORS = [
     ("a: {use: graph_parts.Lo, from: board}", 4, ["graph_parts has no 'Lo'", "did you mean 'Low'?"]),
     ("a: {use: graph_parts.np, from: board}", 4, ["must be a source, an operator or an outlet"]),
     ("a: {use: graph_parts.NoDataclass, from: board}", 4, ["is not a dataclass"]),
-    ("a: {use: stream.Operator, from: board}", 4, ["must be a source, an operator or an outlet"]),
+    ("a: {use: stream.operator.Operator, from: board}", 4, ["must be a source, an operator or an outlet"]),
     (
         "a: {use: stream.manuel.Value, initial: 1}",
         4,

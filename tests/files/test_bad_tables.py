@@ -119,7 +119,7 @@ def test_what_is_there_is_not_replaced(kinegraph: Command, made: Path, tmp_path:
 def test_nothing_is_verified_where_there_is_nothing_to_compare(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("time,a [uV],b\n0,1,1\n1,2,1\n2,3,1\n")
     code, said, _ = kinegraph("files", "import", "t.csv", "-o", "t.mcap", "--stream", "board.emg=a,b", "--time", "time")
-    assert code == 0 and "in uV, no unit" in said
+    assert code == 0 and "in µV, no unit" in said
     refused(kinegraph("replay", made / "graph.yaml", "t.mcap", "--verify"), "t.mcap holds no output", "`record`")
     (tmp_path / "less.yaml").write_text(BOARD % 2)
     code, said, _ = kinegraph("replay", "less.yaml", made / "s", "--verify")
@@ -138,9 +138,9 @@ def test_streams_that_would_become_one_table_are_kept_apart(kinegraph: Command, 
 
 SLOW = """
 import sys, time
-import kinegraph.stream.cli.main
-import kinegraph.devices.formats.table.csv_writer as csv_write
-from kinegraph.stream.recording import recorder
+from kinegraph.devices.formats.table import csv_writer
+from kinegraph.stream.cli import main
+from kinegraph.stream.recording.write import recorder
 
 def slowly(function):
     def call(*arguments, **options):
@@ -148,10 +148,10 @@ def slowly(function):
         return function(*arguments, **options)
     return call
 
-csv_write._stamps = slowly(csv_write._stamps)
+csv_writer._stamps = slowly(csv_writer._stamps)
 recorder.Recorder.write = slowly(recorder.Recorder.write)
 sys.argv = ["kinegraph", *sys.argv[1:]]
-stream.cli.main.main()
+main.main()
 """
 
 

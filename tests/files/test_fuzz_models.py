@@ -87,7 +87,7 @@ SEEDS = {
     "exercises": exercises,
     "graph": graph,
     "pose": pose,
-    "map": shipped("pose_map/example.npz", MotionIndex.read),
+    "map": shipped("maps/pose_map/example.npz", MotionIndex.read),
     "mesh": shipped("steering/quadruped.npz", lambda path: from_model(read_model(path, "mesh"))),
     "steps": shipped("steps/walking_manner.npz", StepModel.read),
 }

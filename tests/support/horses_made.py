@@ -87,5 +87,6 @@ def index_of(horses: dict[str, Samples], rows: int = 6, columns: int = 6, rate_h
 if __name__ == "__main__":
     made = index_of({"walk": horse("walk", 5.0), "trot": horse("trot", 5.0, seed=1)}, 3, 4, 30.0)
     made.write(
-        Path(__file__).resolve().parents[2] / "operators" / "pose_map" / "example.npz", {"trained_on": ["made up"]}
+        Path(__file__).resolve().parents[2] / "operators" / "maps" / "pose_map" / "example.npz",
+        {"trained_on": ["made up"]},
     )
