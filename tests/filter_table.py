@@ -17,8 +17,12 @@ USUAL = {"reset_gap_s": 0.1}
 
 
 def table() -> str:
-    """One row for each operator at the top of `operators`, in the order of their names."""
-    found = {use: part for use, part in catalogue(("operators",))[0].items() if part.__module__.count(".") == 1}
+    """One row for each operator in operators/filters and operators/timing, in the order of their names."""
+    found = {
+        use: part
+        for use, part in catalogue(("operators",))[0].items()
+        if part.__module__.split(".")[2] in ("filters", "timing")
+    }
     return HEAD + "".join(_row(use.removeprefix("operators."), part) for use, part in sorted(found.items()))
 
 

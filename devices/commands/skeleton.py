@@ -11,6 +11,7 @@ from string import Template
 
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import write_complete
+from kinegraph.stream.system.names import PACKAGES
 
 FILES = {
     "operator": {"operator": "{}.py", "operator_test": "test_{}.py", "operator_graph": "{}.yaml"},
@@ -34,7 +35,7 @@ def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
     """Write the files of a kind for the module `name` into `folder`; raises KinegraphError where one is there, or the name cannot be."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
         raise KinegraphError(f"{name!r}: must be a module's name, small letters, digits and _, as in 'tiny_board'")
-    if name in sys.stdlib_module_names or name in ("kinegraph", "numpy"):
+    if name in sys.stdlib_module_names or name in ("kinegraph", *PACKAGES, "numpy"):
         raise KinegraphError(f"{name!r}: is the name of a module that is installed; choose another")
     words = {"name": name, "Name": "".join(part.capitalize() for part in name.split("_"))}
     made = {folder / title.format(name): skeleton for skeleton, title in FILES[kind].items()}

@@ -26,15 +26,15 @@ HOUSE = Path(__file__).resolve().parents[2]
 ROOT = {"index.md": "README.md", **{f"{n}.md": f"{n}.md" for n in ("CHANGELOG", "CONTRIBUTING", "SECURITY")}}
 ROOT["CODE_OF_CONDUCT.md"] = ".github/CODE_OF_CONDUCT.md"
 ENGINE = (
-    ("stream.chunk", "Chunk StreamSpec grid empty"),
-    ("stream.operator", "Operator Case"),
-    ("stream.outlet", "Outlet"),
-    ("stream.filter", "Filter SampleWise"),
-    ("stream.source", "Source"),
-    ("stream.params", "param"),
-    ("stream.kernel", "kernel"),
-    ("stream.recording", "Recording"),
-    ("stream.batch.sessions", "open_session sessions_at JobRecording"),
+    ("kinegraph.stream.chunk", "Chunk StreamSpec grid empty"),
+    ("kinegraph.stream.operator", "Operator Case"),
+    ("kinegraph.stream.outlet", "Outlet"),
+    ("kinegraph.stream.filter", "Filter SampleWise"),
+    ("kinegraph.stream.source", "Source"),
+    ("kinegraph.stream.params", "param"),
+    ("kinegraph.stream.kernel", "kernel"),
+    ("kinegraph.stream.recording", "Recording"),
+    ("kinegraph.stream.batch.sessions", "open_session sessions_at JobRecording"),
 )
 ENTRY = re.compile(r"^([\w<>.,()/*\-\[\] ]{1,60}?)  +(\S.*)$")
 
@@ -74,8 +74,8 @@ def made() -> Iterator[tuple[str, str]]:
     parts, _ = catalogue()
     kinds: dict[str, Callable[[str, Any], bool]] = {
         "operators": lambda use, part: kind_of(part) == "operator",
-        "devices": lambda use, part: kind_of(part) == "source" and ".simulators." not in use,
-        "simulators": lambda use, part: kind_of(part) == "source" and ".simulators." in use,
+        "devices": lambda use, part: kind_of(part) == "source" and not is_simulated(use),
+        "simulators": lambda use, part: kind_of(part) == "source" and is_simulated(use),
         "outlets": lambda use, part: kind_of(part) == "outlet",
     }
     for kind, belongs in kinds.items():
@@ -93,6 +93,11 @@ def made() -> Iterator[tuple[str, str]]:
         "reference/configs.md",
         f"# Shipped graphs\n\n`kinegraph run NAME` runs one; `kinegraph configs NAME -o FOLDER` copies it.\n\n{listed}",
     )
+
+
+def is_simulated(use: str) -> bool:
+    """Whether a source stands in for a person or a device."""
+    return ".people." in use or "imulat" in use or use.startswith("devices.mti.back_walker")
 
 
 def _parts(title: str, parts: dict[str, Any]) -> str:

@@ -28,7 +28,7 @@ Table: TypeAlias = dict[str, dict[str, Any]]
 
 
 RATE_NS = 10 * NS
-"""A rate is over so much sample time."""
+"""How much sample time a rate covers."""
 
 
 class Rates:
@@ -40,7 +40,7 @@ class Rates:
         self._seen: dict[str, deque[tuple[int, int]]] = {}
 
     def of(self, name: str, samples: int, until: int) -> float:
-        """The rate of a stream that is complete up to `until` (ns), with so many samples; 0.0 as long as too little is known."""
+        """The rate of a stream that is complete up to `until` (ns), after `samples` samples; 0.0 as long as too little is known."""
         seen = self._seen.setdefault(name, deque())
         if until not in (NEVER, FOREVER) and (not seen or until > seen[-1][0]):
             seen.append((until, samples))

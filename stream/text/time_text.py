@@ -119,7 +119,7 @@ def time_of_day(stamp: int, zone: tzinfo = UTC) -> str:
 
 
 def rate(hz: float | None, decimals: int | None = None) -> str:
-    """Samples per second, to six digits or so many decimals; never in powers of ten.
+    """Samples per second, to six digits, or to `decimals` decimals; never in powers of ten.
 
     >>> rate(1000.0), rate(999.99996), rate(33.333333), rate(2_000_000.0), rate(999.996, 2), rate(None)
     ('1000', '1000', '33.3333', '2000000', '1000.00', '')

@@ -259,7 +259,7 @@ def test_what_cannot_be_is_said():
         drive(Cycles(), {"signal": (StreamSpec((2,)), time, data), "touchdown": contacts(touch)})
     with pytest.raises(ParameterError, match="shortest_s"):
         drive(Cycles(shortest_s=4.0), {"signal": (spec, time, data), "touchdown": contacts(touch)})
-    with pytest.raises(InputError, match=r"operators\.gait\.cycles\.Cycles"):
+    with pytest.raises(InputError, match=r"operators\.cycles\.cycles\.Cycles"):
         CycleStatistics().open({"closed": contacts([1])[0], "cycles": spec})
 
 

@@ -13,7 +13,7 @@ from kinegraph.stream.graph.reading.load import load
 from kinegraph.stream.source import Source
 
 CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
-WITH_EMG = [path for path in CONFIGS if "operators.emg.Envelope" in path.read_text(encoding="utf-8")]
+WITH_EMG = [path for path in CONFIGS if any(isinstance(node.part, Envelope) for node in load(path).nodes.values())]
 SLOW = "segment_"
 """Graphs that find repetitions smooth to 10 Hz at 30 Hz (thesis, chapter 4); nothing else of the chain is theirs."""
 

@@ -36,5 +36,5 @@ def test_each_stage_has_the_mean_of_its_own_cycles() -> None:
 
 
 def test_cycles_without_stages_are_refused() -> None:
-    with pytest.raises(InputError, match=r"operators\.gait\.stages"):
+    with pytest.raises(InputError, match=r"operators\.cycles\.stages"):
         StageCurves().open({port: one[0] for port, one in some_cycles(12, 2, 1).items()})

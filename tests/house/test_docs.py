@@ -25,7 +25,7 @@ HOUSE = Path(__file__).resolve().parents[2]
 PAGES = sorted([*HOUSE.glob("*.md"), *(HOUSE / "docs").rglob("*.md")])
 BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 EXPECT = re.compile(r"#\s*expect:\s*(\d+)")
-MAKE = re.compile(r"^make (demo|check|test|test-peers|bench|site|dist)\b")
+MAKE = re.compile(r"^make (demo|check|test|nightly|test-peers|bench|site|dist)\b")
 
 
 def blocks(page: Path) -> list[tuple[str, str, str]]:

@@ -127,7 +127,7 @@ record: [wander]
 
 
 def test_an_installed_package_adds_its_parts_and_its_command(site: Path, tmp_path: Path) -> None:
-    listed = run(site, PROGRAM, "parts", cwd=tmp_path)
+    listed = run(site, PROGRAM, "components", cwd=tmp_path)
     for use, kind in (
         ("gait_lab.wander.Wander", "operator"),
         ("gait_lab.tally.Tally", "outlet"),

@@ -382,5 +382,5 @@ def test_streams_that_do_not_fit_are_refused() -> None:
         Presence().open({"regions": StreamSpec((), BED), "blocks": blocks})
     with pytest.raises(InputError, match="at least 1 Hz"):
         Breathing().open({"regions": place, "blocks": blocks_spec(ROWS, COLUMNS, 0.3)})
-    with pytest.raises(InputError, match=r"operators\.depth\.presence\.Presence"):
+    with pytest.raises(InputError, match=r"operators\.bed\.presence\.Presence"):
         Activity().open({"bed": place, "motion": StreamSpec((1,), rate_hz=30.0, channels=("a",))})

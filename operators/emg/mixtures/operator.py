@@ -93,7 +93,7 @@ class PeakMixtures(Operator[MixturesState]):
     least_pct: float = param(1.0, above=0.0, help="the least spread of a mode along the cycle, in %")
     least_height: float = param(0.05, above=0.0, help="and in height, as a share of the mean curve's peak")
     contrast: float = param(1.5, least=1.0, help="a mean curve with a lower peak over its median has no burst")
-    rest_sd: float = param(3.0, least=0.0, help="a peak is activity from so many standard deviations above rest on")
+    rest_sd: float = param(3.0, least=0.0, help="standard deviations above rest from which a peak is activity")
     of_peak: float = param(0.15, least=0.0, below=1.0, help="and from this part of the mean curve's rise above rest on")
 
     def fitting(self) -> Fitting:

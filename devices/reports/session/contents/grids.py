@@ -104,7 +104,7 @@ def _text(running: Running, i: int, decimals: int) -> str:
 
 
 def _steps(gait: Running, per_stride: int) -> str:
-    """The cadence in steps/min: so many steps are a stride."""
+    """The cadence in steps/min."""
     steps = per_stride * float(gait.centre()[0])
     return f"{steps:.1f}" if np.isfinite(steps) else "–"
 
