@@ -27,8 +27,13 @@ def annotated() -> Iterator[tuple[str, Any]]:
         yield name, pose.through(Stack()).data
 
 
+TWELVE = """P1_1_2_p21 P1_1_3_p19 P1_1_5_p21 P1_1_6_p19 P1_1_9_p19 P2_1_8_p07
+    P2_2_12_p05 P2_2_4_p09 P3_1_1_p23 P3_2_10_p17 P3_2_11_p29 P3_2_7_p17"""
+"""One Kinect sequence of each gesture."""
+
+
 def gestures() -> Iterator[tuple[str, Any]]:
-    for path in sorted(recordings().glob("msrc12/*.npz")):
+    for path in (recordings() / "msrc12" / f"{name}.npz" for name in TWELVE.split()):
         yield path.stem, kinect(path).through(Stack()).data
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from kinegraph.stream.graph.components import find
+from kinegraph.stream.graph.moved import MOVED
 from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command, kinegraph, refused
 
@@ -51,9 +53,10 @@ def test_every_new_name_is_one_of_today() -> None:
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     for old, new in script.RENAMED.items():
-        home, _, name = new.rstrip(".").rpartition(".")
-        module = importlib.import_module(home)
-        assert hasattr(module, name) or importlib.util.find_spec(f"{home}.{name}"), f"{old} -> {new}"
+        moved = [path for path in (*MOVED, *MOVED.values()) if path.startswith(new)]
+        assert moved, f"{old} -> {new}"
+    for path in MOVED.values():
+        assert find(path)
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,8 @@ from kinegraph.stream.graph import RecordingOptions
 from kinegraph.stream.operator import grid
 from kinegraph.stream.recording import Recorder, Recording
 
+pytestmark = pytest.mark.quick
+
 EMG = StreamSpec((3,), np.dtype(np.float32), 1000.0, ("TA", "GM", "SOL"), ("uV",), meta={"site": "right leg"})
 STEP = StreamSpec((), np.dtype([("onset", "<i8"), ("name", "<U8")]), units=("ns", ""))
 MARKERS = StreamSpec((4, 3), rate_hz=100.0, units=("m",))
@@ -226,8 +228,6 @@ import sys, time
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 from tests.recordings.test_recording import record, session
-
-pytestmark = pytest.mark.quick
 made = session(seconds=5.0)
 recorder = record(Path(sys.argv[2]), made[:-100], wait=False, flush_s=0.03, gather_s=0.01, pause=0.04)
 while recorder.status.behind_s > 0 or recorder.status.bytes == 0:

@@ -27,7 +27,7 @@ def counted(person: str) -> kg.Results:
 
 
 def repetitions(person: str) -> Array:
-    rows = counted(person)["repetitions.primitive"].data
+    rows = counted(person)["segment.primitive"].data
     return rows[rows["repetition"] > 0]
 
 
@@ -55,7 +55,7 @@ def test_a_repetition_takes_as_long_as_a_stride(person: str) -> None:
 @PEOPLE
 def test_an_activitys_last_count_is_how_many_repetitions_it_had(person: str) -> None:
     """Counts are given while somebody is still at it, and corrected: the last one of each activity holds."""
-    rows, counts = repetitions(person), counted(person)["repetitions.count"].data
+    rows, counts = repetitions(person), counted(person)["segment.count"].data
     last = {int(row["activity"]): int(row["count"]) for row in counts}
     for activity in set(rows["activity"].tolist()):
         assert last[activity] == (rows["activity"] == activity).sum()

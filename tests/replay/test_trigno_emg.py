@@ -48,7 +48,7 @@ def test_the_export_is_read_with_the_rate_that_its_stamps_have(imported: kg.Seri
 
 def test_the_envelope_is_scipys(envelope: kg.Series, imported: kg.Series) -> None:
     rate_hz = float(imported.spec.rate_hz or 0)
-    offline = emg_envelope(highpassed(MICROVOLT, rate_hz), rate_hz)
+    offline = emg_envelope(MICROVOLT, rate_hz)
     offline = at(envelope, imported.time / NS, offline) * SHARES
     np.testing.assert_allclose(envelope.data[60:-60], offline[60:-60], atol=0.005 * offline.max())
 

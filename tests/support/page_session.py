@@ -20,7 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 from kinegraph.devices.page.transfer.wire import decode
 from tests.support.command_line import KINEGRAPH
 
-BUILT = Path(__file__).resolve().parents[2] / "devices" / "outlets" / "page" / "built" / "page.js"
+BUILT = Path(__file__).resolve().parents[2] / "devices" / "page" / "built" / "page.js"
 PATIENCE_S = 120.0
 ADDRESS = re.compile(r"page: (http\S+)")
 
