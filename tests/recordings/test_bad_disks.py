@@ -24,7 +24,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The recorder's disk takes 20 KB."""
     Disk(20_000).put_in(monkeypatch)
     for module in ("recorder", "record_writer"):
-        monkeypatch.setattr(f"kinegraph.stream.recording.{module}.GRACE_S", 0.2)
+        monkeypatch.setattr(f"kinegraph.stream.recording.write.{module}.GRACE_S", 0.2)
     yield
 
 
