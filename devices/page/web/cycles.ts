@@ -165,8 +165,8 @@ function newestOf(stream: Stream, until: number, channel = ""): Cell[][] {
   const [name, number] = [field(stream, "name"), field(stream, "number")];
   const mine = (row: Cell[]) => !channel || String(row[name]) === channel.slice(0, 16) || String(row[name]).split("+").includes(channel);
   const rows: Cell[][] = [];
-  for (let i = stream.data.rows.length - 1; i >= 0; i--) {
-    const row = stream.data.rows[i] as Cell[];
+  for (let i = stream.rows.length - 1; i >= 0; i--) {
+    const row = stream.rows[i] as Cell[];
     if ((row[0] as number) > until || !mine(row)) continue;
     if (rows.length && (row[number] !== rows[0]?.[number] || row[name] !== rows[0]?.[name])) break;
     rows.push(row);

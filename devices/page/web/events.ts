@@ -60,7 +60,7 @@ export class EventsPanel extends Panel {
     const lanes = new Map<string, Lane>();
     for (const stream of this.streams) {
       const kind = kindOf(stream);
-      for (const row of recent(stream.data.rows, span)) {
+      for (const row of recent(stream.rows, span)) {
         const value = kind ? (row[kind] ?? null) : null;
         const own = value === null || value === "" ? "" : String(value);
         const key = `${stream.number} ${own}`;
@@ -135,7 +135,7 @@ export class TablePanel extends Panel {
   draw(span: Span): void {
     const stream = this.streams.find((s) => String(s.number) === this.choice.value) ?? this.streams[0];
     if (!stream) return;
-    const rows = (this.page.recording ? stream.data.rows.filter((row) => (row[0] as number) <= span.at) : stream.data.rows).slice(-MOST_ROWS).reverse();
+    const rows = (this.page.recording ? stream.rows.filter((row) => (row[0] as number) <= span.at) : stream.rows).slice(-MOST_ROWS).reverse();
     const state = `${stream.number} ${stream.count} ${rows.length}`;
     if (state === this.shown) return;
     this.shown = state;

@@ -61,7 +61,7 @@ export class HypnogramPanel extends Panel {
     const column = (name: string) => stream.info.fields.findIndex(([field]) => field === name) + 1;
     const [onset, end, state, final] = [column("onset"), column("end"), column("state"), column("final")];
     const found = new Map<number, Epoch>();
-    for (const cells of stream.data.rows) {
+    for (const cells of stream.rows) {
       const epoch = { onset: number(cells[onset]), end: number(cells[end]), state: String(cells[state] ?? ""), final: !final || cells[final] === true };
       if (epoch.final || !found.get(epoch.onset)?.final) found.set(epoch.onset, epoch);
     }

@@ -86,7 +86,7 @@ export class WeeksPanel extends Panel {
     for (const stream of this.streams) {
       const [name, evening, kind, day] = ["night", "evening", "kind", "day"].map((field) => column(stream, field));
       if (!name || !evening || !kind || !day) continue;
-      for (const cells of stream.data.rows) found.set(text(cells[name]), { evening: text(cells[evening]), kind: text(cells[kind]), day: text(cells[day]) });
+      for (const cells of stream.rows) found.set(text(cells[name]), { evening: text(cells[evening]), kind: text(cells[kind]), day: text(cells[day]) });
     }
     this.nights = [...found.values()].filter((night) => night.kind !== "deleted");
   }
@@ -98,7 +98,7 @@ export class WeeksPanel extends Panel {
       const at = (field: string) => column(stream, field);
       const key = at("week");
       if (!key) continue;
-      for (const cells of stream.data.rows) {
+      for (const cells of stream.rows) {
         const value = (field: string) => cells[at(field)];
         found.set(text(cells[key]), [
           cells[key] ?? null, value("nights") ?? null, value("missing") ?? null, value("naps") ?? null, minutes(value("asleep")),
