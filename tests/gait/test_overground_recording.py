@@ -66,7 +66,7 @@ def walks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Walk]]:
             "lab.markers=fs_kin",
         ]
         units = ["--unit", "lab.emg=mV", "--unit", "lab.markers=mm"]
-        call("files", "import", file, "-o", walk, *emg, *markers, *units)
+        call("files import", file, "-o", walk, *emg, *markers, *units)
         call("replay", CONFIG, walk, "-o", walk.with_suffix(""), "-q")
         with np.load(file) as arrays:
             opened.append(Walk(name, Recording.open(walk.with_suffix("")), arrays[f"{trial}_kin"]))

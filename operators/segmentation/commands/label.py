@@ -1,4 +1,4 @@
-"""`kinegraph motion label`: names for exercises, from a recording in which somebody shows them."""
+"""`kinegraph motion label`: names of exercises, from a recording in which a person shows them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def label(
     node: Annotated[str, typer.Option(help="the node whose segments these are, if there are several")] = "",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
 ) -> None:
-    """Teach the names of exercises.
+    """Name exercises by examples in a recording.
 
     The repetitions found in the given seconds are kept as examples.
 
