@@ -311,6 +311,7 @@ PIXELS = """(c => [...c.getContext('2d').getImageData(0, 0, c.width, c.height).d
   document.querySelector('[aria-label="depth"] canvas'))"""
 
 
+@pytest.mark.nightly
 def test_cycles_have_their_mean_band_and_last_cycle(page: LiveBrowser, shown: Shown, at: dict[str, Any]) -> None:
     stamp, _ = shown.at("ensemble.mean", at["cycles"])
     seek(page, at["cycles"])

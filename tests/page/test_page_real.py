@@ -172,7 +172,7 @@ def test_every_muscles_line_covers_in_each_column_what_it_reached_then(page: Liv
     written = np.array(page.like('[aria-label="raw EMG"] canvas', "dim", within=60))
     assert (written[:, 1] > top + height + 8).sum() > 100, "no time stands below"
     assert (written[:, 0] < left - 60).sum() > 13 * 20, "names and units are beside the lines"
-    assert page.value("document.querySelector('.signal').dataset.labels").count(" uV") == 13
+    assert page.value("document.querySelector('.signal').dataset.labels").count(" µV") == 13
     seen = at <= SPAN_S + 1e-3
     for c in range(len(names)):
         values = data[seen, c].astype(float)
