@@ -40,7 +40,7 @@ def test_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "2.99 s",
         "subject S01",
         "graph: walk",
-        "1 channels float64 at 100 Hz in uV",
+        "1 channels float64 at 100 Hz in µV",
         "stumbled",
         "and 10 more",
         "dropped 30",
@@ -67,7 +67,7 @@ def test_info_fits_a_narrow_terminal(tmp_path: Path) -> None:
     lines = shown.getvalue().splitlines()
     assert [
         line for line in lines if line.startswith(f"{name}  ")
-    ] and "emg: 1 channel float64 at 100 Hz in µV" in lines
+    ] and "emg: 1 channel float64 at 100 Hz in uV" in lines
     assert f"{name}: events (field_0, field_1, " in shown.getvalue() and max(map(len, lines)) <= 80
 
 
