@@ -14,14 +14,15 @@ from kinegraph.stream.engine.warmup import _run_cases
 from kinegraph.stream.graph.components import catalogue, find
 from kinegraph.stream.operator import Operator
 
-SLOWEST = ("Segment", "WholePose", "Neighbours", "PoseGrid", "MotionMap", "SteerMesh", "PeakMixtures", "Extrema")
+SLOWEST = ("Segment", "NameRepetitions", "WholePose", "SteerMesh", "PoseGrid", "MotionMap", "PeakMixtures", "Extrema")
 """These compile longest and start first, so that the last process does not end alone."""
 
 
 def main() -> None:
     began = time.perf_counter()
     found, _ = catalogue(("operators",))
-    uses = sorted(found, key=lambda use: (use.rpartition(".")[2] not in SLOWEST, use))
+    order = {name: place for place, name in enumerate(SLOWEST)}
+    uses = sorted(found, key=lambda use: (order.get(use.rpartition(".")[2], len(order)), use))
     with multiprocessing.get_context("spawn").Pool(min(os.cpu_count() or 1, 8)) as pool:
         for _ in pool.imap_unordered(compile_kernels, uses):
             pass

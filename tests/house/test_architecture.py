@@ -31,7 +31,7 @@ def modules(package: str) -> list[Path]:
     return sorted((ROOT / package).rglob("*.py"))
 
 
-ALL = [pytest.param(p, id=str(p.relative_to(ROOT))) for package in PACKAGES for p in modules(package)]
+PRODUCT = [path for package in PACKAGES for path in modules(package)]
 
 
 def imported(path: Path) -> set[str]:
@@ -52,34 +52,32 @@ def imported(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("path", ALL)
 @pytest.mark.quick
-def test_imports_point_one_way(path: Path) -> None:
-    package = path.relative_to(ROOT).parts[0]
-    assert imported(path) & set(PACKAGES) <= MAY_IMPORT[package]
+def test_imports_point_one_way() -> None:
+    for path in PRODUCT:
+        assert imported(path) & set(PACKAGES) <= MAY_IMPORT[path.relative_to(ROOT).parts[0]], path
 
 
-@pytest.mark.parametrize("path", ALL)
-def test_a_module_is_named_after_its_idea_and_says_it(path: Path) -> None:
-    assert path.stem not in VAGUE
-    if path.stem not in ("__init__", "__main__") or path.read_text(encoding="utf-8").strip():
-        assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), (
-            "a module says in its first line what it is about"
-        )
+def test_a_module_is_named_after_its_subject_and_names_it_in_its_first_line() -> None:
+    for path in PRODUCT:
+        text = path.read_text(encoding="utf-8")
+        assert path.stem not in VAGUE, path
+        assert not text.strip() or ast.get_docstring(ast.parse(text)), f"{path}: the module needs a docstring"
 
 
-@pytest.mark.parametrize("path", [p for p in ALL if "outlets" in str(p.id)])
-def test_an_outlet_keeps_what_it_needs_by_hold(path: Path) -> None:
-    assert "__setattr__" not in path.read_text(encoding="utf-8"), "`hold(state, runtime)` keeps what is no parameter"
+def test_an_outlet_keeps_its_runtime_by_hold() -> None:
+    """`hold(state, runtime)` keeps what is not a parameter."""
+    assert [
+        path for path in PRODUCT if "outlets" in path.parts and "__setattr__" in path.read_text(encoding="utf-8")
+    ] == []
 
 
-SOURCES = [p for p in ALL if re.match(r"devices/(?!people).*source\.py", str(p.id))]
-
-
-@pytest.mark.parametrize("path", SOURCES)
-def test_no_source_imports_a_simulator(path: Path) -> None:
+def test_no_source_imports_a_simulator() -> None:
     """Simulators import the sources that they stand in for, and are found by their entry points."""
-    assert not [name for name in imports_of(path, later=True) if "simulat" in name or ".people." in name]
+    for path in PRODUCT:
+        if re.match(r"devices/(?!people).*source\.py", str(path.relative_to(ROOT))):
+            found = [name for name in imports_of(path, later=True) if "simulat" in name or ".people." in name]
+            assert not found, path
 
 
 def test_the_installed_entry_points_are_those_of_the_project() -> None:
@@ -89,15 +87,14 @@ def test_the_installed_entry_points_are_those_of_the_project() -> None:
         assert {e.name: e.value for e in entry_points(group=group) if e.dist and e.dist.name == "kinegraph"} == entries
 
 
-@pytest.mark.parametrize("path", ALL)
-def test_only_kernel_compiles(path: Path) -> None:
+def test_only_kernel_compiles() -> None:
     """No numba but through `@kernel` (and what watches it), no fastmath, no pickle."""
-    text = path.read_text(encoding="utf-8")
-    if path != ROOT / "stream" / "kernel.py":
-        assert not re.search(r"\b(njit|jit|vectorize|guvectorize)\(|@(numba\.)?n?jit\b", text)
-    assert not re.search(r"fastmath\s*=", text)
-    assert not imported(path) & {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}
-    assert not re.search(r"allow_pickle\s*=\s*True", text)
+    for path in PRODUCT:
+        text = path.read_text(encoding="utf-8")
+        if path != ROOT / "stream" / "kernel.py":
+            assert not re.search(r"\b(njit|jit|vectorize|guvectorize)\(|@(numba\.)?n?jit\b", text), path
+        assert not re.search(r"fastmath\s*=|allow_pickle\s*=\s*True", text), path
+        assert not imported(path) & {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}, path
 
 
 def texts() -> list[Path]:
