@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from kinegraph.stream.system.lazy import offered
 
 if __name__ != "kinegraph.devices":
-    raise ImportError("import kinegraph.devices: this folder is a part of the package kinegraph")
+    raise ImportError("the package is kinegraph.devices: write `from kinegraph.devices import ...`")
 
 if TYPE_CHECKING:
     from kinegraph.devices.analog.labjack import LabJack

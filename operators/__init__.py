@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from kinegraph.stream.system.lazy import offered
 
 if __name__ != "kinegraph.operators":
-    raise ImportError("import kinegraph.operators: this folder is a part of the package kinegraph")
+    raise ImportError("the package is kinegraph.operators: write `from kinegraph.operators import ...`")
 
 if TYPE_CHECKING:
     from kinegraph.operators.bed.activity import Activity

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from kinegraph.stream.system.lazy import offered
 
 if __name__ != "kinegraph.{package}":
-    raise ImportError("import kinegraph.{package}: this folder is a part of the package kinegraph")
+    raise ImportError("the package is kinegraph.{package}: write `from kinegraph.{package} import ...`")
 
 if TYPE_CHECKING:
 {imports}

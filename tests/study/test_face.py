@@ -171,7 +171,7 @@ def test_a_graph_written_as_python_is_the_same_graph(name: str) -> None:
 
 
 def test_two_classes_of_one_name_are_imported_under_two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    copy = "from kinegraph.operators import iir\n\n\nclass Lowpass(iir.Lowpass):\n    __slots__ = ()\n"
+    copy = "from kinegraph.operators.filters import iir\n\n\nclass Lowpass(iir.Lowpass):\n    __slots__ = ()\n"
     (tmp_path / "another_lowpass.py").write_text(copy, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     from another_lowpass import Lowpass as Another  # type: ignore[import-not-found]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
+from kinegraph.operators import Lowpass, Threshold
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.recording.series import write_recording
 
@@ -66,7 +67,7 @@ def test_as_xarray(session: Path) -> None:
     assert made.sel(channel="TA").values.tolist() == gappy().data[:, 0].tolist()
     assert made["time"].values[0] == np.datetime64(5 * NS, "ns") and list(made["unit"].values) == ["uV", "g"]
     graph = kg.load(session.parent / "graph.yaml")
-    graph.add("active", __import__("operators").Threshold(level=20, channel="TA"), "smooth")
+    graph.add("active", Threshold(level=20, channel="TA"), "smooth")
     events = graph.run(session, keep=["active.interval"])["active.interval"].to_xarray()
     assert isinstance(events, xarray.Dataset) and {"onset", "end", "peak"} <= set(events)
 
@@ -107,7 +108,7 @@ def test_what_shows_itself_is_text(tmp_path: Path) -> None:
         assert "emg" in shown and "170" in shown and ">1</td>" in shown
     graph = kg.Graph("low")
     graph.add("emg", kg.Input(channels=["TA", HOSTILE], rate_hz=1000, units=["uV"]))
-    graph.add("smooth", __import__("operators").Lowpass(cutoff_hz=6), "emg", record=True)
+    graph.add("smooth", Lowpass(cutoff_hz=6), "emg", record=True)
     results = graph.run(np.zeros((100, 2)))
     pages = [graph._repr_html_(), results._repr_html_(), results["smooth"].spec._repr_html_(), shown]
     assert "Lowpass" in pages[0] and "smooth" in pages[1] and "TA" in pages[2]
