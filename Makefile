@@ -30,11 +30,11 @@ check: .venv/installed-for-tests
 
 test: .venv/installed-for-tests
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/pytest -n 2 --dist loadgroup
+	$(BIN)/pytest -n 3 --dist loadgroup
 
 nightly: .venv/installed-for-tests
 	$(BIN)/python -m tests.compile_kernels
-	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest -n 2 --dist loadgroup -m "nightly or not nightly"
+	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest -n 3 --dist loadgroup -m "nightly or not nightly"
 
 test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'

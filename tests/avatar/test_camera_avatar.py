@@ -42,6 +42,7 @@ def hands_over_hips(poses: Samples, times: Samples) -> list[tuple[Samples, Sampl
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("network", [False, True], ids=["depth alone", "network"])
+@pytest.mark.nightly
 def test_the_datagrams_follow_the_performer(network: bool, tmp_path: Path) -> None:
     if network:
         pose_network_or_skip()

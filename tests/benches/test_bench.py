@@ -46,6 +46,7 @@ def test_stalls_run() -> None:
 
 @needs_page
 @pytest.mark.timeout(600)
+@pytest.mark.nightly
 def test_the_page_and_its_recordings_can_be_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = ("no page", "one client", "five clients", "the server killed every second", "no page, again")
     kinds = {name: page.KINDS[name] for name in tried}

@@ -98,6 +98,7 @@ def test_the_verdict_names_the_impedance_and_leaves_worse_faults_their_names() -
     assert verdicts(TA=60e3)[0] == ("bad", "same signal") and verdicts(SO=np.inf)[1] == ("bad", "not connected")
 
 
+@pytest.mark.nightly
 def test_the_check_shows_impedances_before_rest_and_contraction(kinegraph: Command) -> None:
     """The board of two electrode pairs, at its port, through the command that a laboratory calls."""
     graph = (

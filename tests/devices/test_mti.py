@@ -330,6 +330,7 @@ def recorded(folder: Path, *more: str) -> Iterator[Recording]:
 
 
 @pytest.mark.parametrize("port", ["/dev/ttyUSB0", "usb://2639"])
+@pytest.mark.nightly
 def test_steps_agree_with_the_simulated_walk(port: str, tmp_path: Path) -> None:
     with recorded(tmp_path / "session", "--set", f"mti.port={port}") as recording:
         stamp, _ = recording.read("mti.imu")

@@ -219,6 +219,7 @@ def test_peaks_of_a_curve_are_found_also_across_touch_down() -> None:
 
 
 @needs_data
+@pytest.mark.nightly
 def test_on_the_real_walks_it_equals_scikit_learn_and_the_plain_definition() -> None:
     walks = recorded_peaks()
     assert len(walks) > 13 + 4 * 6, "each of the seven recordings"

@@ -274,5 +274,6 @@ def test_the_bilateral_session_from_end_to_end(session: tuple[Path, str]) -> Non
     assert len(curves) == 100 and int(curves[0]["cycles"]) == len(fast)
 
 
+@pytest.mark.nightly
 def test_the_bilateral_session_replays_to_the_same(session: tuple[Path, str]) -> None:
     kinegraph("replay", CONFIG, session[0] / "rec", "--set", PLAN, "--verify", "-q")

@@ -80,6 +80,7 @@ def test_people_it_has_never_seen_are_told_by_their_manner(manner: str) -> None:
     assert rows["settles"][-1] <= rows["steps"][-1]
 
 
+@pytest.mark.nightly
 def test_the_graph_runs_as_it_stands_and_says_what_it_sees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kinegraph("run", CONFIG, "--for", "14", "--view", "lines", "-o", tmp_path / "w", "--set", "screen.every=5")
     shown = capsys.readouterr().out

@@ -80,8 +80,17 @@ def words(text: str) -> str:
     return " ".join(text.split())
 
 
+FIRST_READ = {"README", "CONTRIBUTING", "running", "graphs", "python", "operators"}
+"""The commands of these pages run before every change, those of all others every night."""
+WITH_COMMANDS = [
+    pytest.param(page, id=page.stem, marks=() if page.stem in FIRST_READ else pytest.mark.nightly)
+    for page in PAGES
+    if blocks(page)
+]
+
+
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: p.stem)
+@pytest.mark.parametrize("page", WITH_COMMANDS)
 def test_a_page_does_what_it_says(page: Path, desk: Path) -> None:
     shown = ""
     for kind, name, text in blocks(page):

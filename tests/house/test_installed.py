@@ -253,6 +253,7 @@ def test_the_page_of_a_wheel_needs_no_node_and_fetches_nothing_from_elsewhere(si
 
 
 @pytest.mark.timeout(600)
+@pytest.mark.nightly
 def test_every_command_of_the_readme_works_from_the_wheel(site: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": f"{site}:{os.environ['PATH']}", "COLUMNS": "120"}
     done = []

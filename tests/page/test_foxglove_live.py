@@ -22,7 +22,7 @@ from tests.support.command_line import KINEGRAPH
 from tests.support.page_session import PageProcess
 
 pytest.importorskip("foxglove", reason="no Foxglove SDK here: pip install 'kinegraph[foxglove]'")
-pytestmark = pytest.mark.timeout(280)
+pytestmark = [pytest.mark.nightly, pytest.mark.timeout(280)]
 
 GRAPH = """
 name: small

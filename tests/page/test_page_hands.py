@@ -166,6 +166,7 @@ def test_what_is_painted_reaches_from_the_least_to_the_greatest_of_each_column(
         assert browser.complaints == []
 
 
+@pytest.mark.nightly
 def test_a_stream_that_fell_silent_is_greyed_and_says_since_when(browser: LiveBrowser, tmp_path: Path) -> None:
     (tmp_path / "silent.yaml").write_text(
         "name: silent\npage: {panels: [{kind: signal, of: over.emg}, {kind: signal, of: board.emg}]}\n"

@@ -41,6 +41,7 @@ def contents(folder: Path) -> dict[str, str]:
 @needs_page
 @needs_browser
 @pytest.mark.timeout(280)
+@pytest.mark.nightly
 def test_a_moment_that_was_marked_in_a_recording_is_seen_again_and_in_its_replay(tmp_path: Path) -> None:
     (tmp_path / "marked.yaml").write_text(GRAPH)
     command = [KINEGRAPH, "run", "marked.yaml", "--for", "4", "--view", "none", "-o", "s"]

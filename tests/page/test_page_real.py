@@ -340,6 +340,7 @@ def with_a_log(path: Path, target: Path) -> None:
             recorder.write(numbers[name], chunk, arrival, sequence)
 
 
+@pytest.mark.nightly
 def test_a_replay_shows_its_rates_in_table_and_graph_and_what_the_session_told(
     walked: Path, browser: LiveBrowser
 ) -> None:

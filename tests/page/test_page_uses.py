@@ -19,7 +19,7 @@ from tests.support.command_line import KINEGRAPH
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import needs_page, page_process
 
-pytestmark = [needs_page, needs_browser, pytest.mark.timeout(280)]
+pytestmark = [pytest.mark.nightly, needs_page, needs_browser, pytest.mark.timeout(280)]
 
 SHADES = ("#1f5fa8", "#b0481c", "#2a7d3f", "#8a3f98", "#8a6a00", "#b22a5b", "#0f7c85", "#5b5bd6")
 

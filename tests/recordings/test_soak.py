@@ -115,6 +115,7 @@ def test_a_page_whose_session_was_killed_says_nothing_of_it() -> None:
 
 @pytest.mark.timeout(400)
 @pytest.mark.xdist_group("load")
+@pytest.mark.nightly
 def test_a_session_under_every_fault_loses_nothing_silently(tmp_path: Path) -> None:
     seconds = 40.0
     faults = drawn(6, seconds, ("treadmill",), quiet_s=4.0, pace=6.0)

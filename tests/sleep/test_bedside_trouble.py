@@ -93,6 +93,7 @@ def night_of(
     return outcome, facts, archive.read_epochs(path)
 
 
+@pytest.mark.nightly
 def test_usb_that_fails_every_minute_is_opened_every_time_and_no_epoch_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -143,6 +143,7 @@ def test_nights_of_a_batch(tmp_path: Path, kinegraph: Command) -> None:
     refused(kinegraph("sleep", "evaluate", "results"), "REFERENCE")
 
 
+@pytest.mark.nightly
 def test_models_are_learned_from_a_batch(tmp_path: Path, kinegraph: Command) -> None:
     files, table = recorded(tmp_path, [f"r{k}" for k in range(6)]), tmp_path / "labels.csv"
     table.write_text("recording,person,gender\n" + "".join(f"r{k}.mcap,p{k},{'fm'[k % 2]}\n" for k in range(6)))
