@@ -31,6 +31,10 @@ CODES = {"Tab": 9, "Escape": 27, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 3
 """What a key needs beside its name to do what the browser itself does at it."""
 
 
+class NavigatedAway(Exception):
+    """The page that was asked is gone, and another one comes."""
+
+
 class LiveBrowser:
     """One tab. `complaints` are the errors of the page that is open, whatever the console would show in red; `unmended` those of all pages
     that were; `fetched` the addresses that it asked for, other than the one it was told to open."""
@@ -51,6 +55,8 @@ class LiveBrowser:
             told = json.loads(self._socket.recv(timeout=PATIENCE_S))
             self._note(told)
             if told.get("id") == self._number:
+                if "navigated" in told.get("error", {}).get("message", ""):
+                    raise NavigatedAway
                 assert "error" not in told, told["error"]
                 return dict(told["result"])
 
@@ -92,10 +98,17 @@ class LiveBrowser:
         assert "exceptionDetails" not in told, told
         return told["result"].get("value")
 
+    def _value_once_there(self, script: str) -> Any:
+        """What an expression gives; None while the page goes to another one, as from an address with a token."""
+        try:
+            return self.value(script)
+        except NavigatedAway:
+            return None
+
     def wait(self, script: str, seconds: float = PATIENCE_S) -> Any:
         """Wait until an expression gives something true."""
         end = time.monotonic() + seconds
-        while not (found := self.value(script)):
+        while not (found := self._value_once_there(script)):
             assert time.monotonic() < end, (
                 script,
                 self.value("document.body.innerText.slice(0, 3000)"),
