@@ -23,7 +23,7 @@ import numpy as np
 
 from bench.aligned_clusters import aligned_clusters
 from bench.report import table
-from kinegraph.devices.synthesis.aims import Aim
+from kinegraph.devices.synthesis.goals import Aim
 from kinegraph.devices.synthesis.walker import LEGS, GraphWalk
 from kinegraph.operators.maps.motion_graph.build import build_graph
 from kinegraph.operators.maps.motion_graph.measures import measure

@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.devices.bitalino import protocol as protocol
 from kinegraph.devices.bitalino.protocol import GAINS, RATES_HZ, Sensor
 from kinegraph.devices.people.treadmill.signal import Signal, Walker
-from kinegraph.devices.simulation.due import due
+from kinegraph.devices.simulation.sample_schedule import due
 from kinegraph.devices.simulation.serve import Simulator, in_place
 from kinegraph.stream.params import param
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 
 from kinegraph.devices.cameras import orbbec, realsense
-from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.discovery.finders import FoundDevice
 
 
 def find_orbbec() -> Iterator[FoundDevice]:

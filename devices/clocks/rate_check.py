@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.devices.clocks.device_time import STILL_NS, STILL_STEPS
-from kinegraph.devices.clocks.mismatch_words import of_rate, of_turn, of_unit
+from kinegraph.devices.clocks.mismatch_text import of_rate, of_turn, of_unit
 from kinegraph.stream.chunk import NS, Samples, Times
 from kinegraph.stream.errors import RunError
 from kinegraph.stream.source import Feed

@@ -12,7 +12,7 @@ from kinegraph.stream.errors import KinegraphError, nearest
 from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
-    from kinegraph.devices.discovery.found import FoundDevice
+    from kinegraph.devices.discovery.finders import FoundDevice
 
 
 def devices(
@@ -26,7 +26,7 @@ def devices(
     as_json: Annotated[bool, typer.Option("--json", help="print JSON")] = False,
 ) -> None:
     """List what is connected, with the YAML to use it."""
-    from kinegraph.devices.discovery.found import finders, look
+    from kinegraph.devices.discovery.finders import finders, look
 
     known = finders()
     for kind in kinds or ():

@@ -92,7 +92,7 @@ def trained(recordings: list[Path], options: dict[str, Any]) -> Path:
 
 
 async def _serve(hub: MapHub, address: Address, duration_s: float) -> None:
-    from kinegraph.devices.page.map.wanted import wanted
+    from kinegraph.devices.page.map.requests import wanted
     from kinegraph.devices.page.serving import PageServer, tls_context
 
     server = PageServer(hub, lambda: "# EOF\n", files=FILES, understand=wanted)

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from kinegraph.devices.formats.exporter import Export, Exporter, Written
-from kinegraph.devices.formats.gathered import Gathered, GriddedStream, events_of, gather, on_grids, the_one
+from kinegraph.devices.formats.whole_streams import Gathered, GriddedStream, events_of, gather, on_grids, the_one
 from kinegraph.stream.chunk import NS, Samples
 from kinegraph.stream.domain.axes import BODY, USUAL_FORWARD, Axes
 from kinegraph.stream.errors import RecordingError

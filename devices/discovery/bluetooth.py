@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 
-from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.discovery.finders import FoundDevice
 from kinegraph.devices.dot import protocol as movella_dot
 from kinegraph.devices.fitness_treadmill import protocol as ftms
 from kinegraph.devices.ganglion import protocol as ganglion

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.discovery.finders import FoundDevice
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.discovery.finders import FoundDevice
 from kinegraph.devices.transport.usb_bus import UsbAddress, backends, connected, rule, text_of
 
 MTI = "use: devices.mti.Mti\nport: {port}"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from kinegraph.devices.formats.understood import Understood
+    from kinegraph.devices.formats.import_result import Understood
 
 
 @dataclass(slots=True)

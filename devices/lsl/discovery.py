@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.discovery.finders import FoundDevice
 from kinegraph.devices.lsl.find import everything
 from kinegraph.devices.lsl.metadata import TEXT, Described, describe
 from kinegraph.devices.lsl.network import library

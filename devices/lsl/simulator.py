@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from kinegraph.devices.lsl.network import ANY, MACHINE, Network, library, unsettled
 from kinegraph.devices.lsl.samples import write_channels
 from kinegraph.devices.people.treadmill.signal import BURSTS, Signal, Walker
-from kinegraph.devices.simulation.due import due
 from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
+from kinegraph.devices.simulation.sample_schedule import due
 from kinegraph.devices.simulation.serve import TICK_S, Simulator
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.params import param

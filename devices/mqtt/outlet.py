@@ -17,7 +17,7 @@ from kinegraph.devices.mqtt.entity_states import EntityStates
 from kinegraph.devices.mqtt.fields import check_field, check_where, stream_of
 from kinegraph.devices.mqtt.link import Broker, BrokerConnection
 from kinegraph.devices.mqtt.message_queue import MessageQueue, MessageQueueState
-from kinegraph.devices.mqtt.report_news import NAME, ReportNews, ReportWatch, report_announcement
+from kinegraph.devices.mqtt.newest_report import NAME, ReportNews, ReportWatch, report_announcement
 from kinegraph.devices.mqtt.sent_events import SentEvents
 from kinegraph.devices.outlets.output_lock import check_path
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Specs

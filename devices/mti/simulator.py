@@ -12,8 +12,8 @@ import numpy as np
 from kinegraph.devices.mti import xbus, xbus_numbers
 from kinegraph.devices.people.walking_back import Back, Manner
 from kinegraph.devices.people.walking_limb import Limb, Site
-from kinegraph.devices.simulation.due import due
 from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.sample_schedule import due
 from kinegraph.devices.simulation.serve import Server, Simulator
 from kinegraph.stream.params import param
 

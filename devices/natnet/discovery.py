@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 
-from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.discovery.finders import FoundDevice
 from kinegraph.devices.natnet import protocol as protocol
 from kinegraph.devices.natnet.names import bodies_of
 from kinegraph.devices.natnet.protocol import NatNetError, NatNetModels, ServerInfo

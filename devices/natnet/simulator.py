@@ -24,7 +24,7 @@ from kinegraph.devices.natnet.protocol import (
     Version,
 )
 from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 
 if TYPE_CHECKING:
     from kinegraph.devices.natnet.source import NatNet

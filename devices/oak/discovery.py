@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
 
-from kinegraph.devices.discovery.found import FoundDevice
+from kinegraph.devices.discovery.finders import FoundDevice
 from kinegraph.devices.oak.library import all_cameras, forbidden, library, permission
 
 YAML = "use: devices.oak.Oak\ndevice: {device}"

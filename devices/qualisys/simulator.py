@@ -14,7 +14,7 @@ import numpy as np
 
 from kinegraph.devices.qualisys import protocol as protocol
 from kinegraph.devices.qualisys.protocol import AnalogSamples, QualisysDecoder, QualisysFrame
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 
 if TYPE_CHECKING:
     from kinegraph.devices.qualisys.source import Qualisys

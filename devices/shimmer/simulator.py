@@ -14,7 +14,7 @@ from kinegraph.devices.shimmer import protocol as protocol
 from kinegraph.devices.shimmer import units as units
 from kinegraph.devices.shimmer.protocol import ACK, IN_STREAM, TICKS_HZ
 from kinegraph.devices.shimmer.units import ShimmerCalibration
-from kinegraph.devices.simulation.due import due
+from kinegraph.devices.simulation.sample_schedule import due
 from kinegraph.devices.simulation.serve import Simulator, in_place
 from kinegraph.stream.chunk import Array, Samples, Times
 from kinegraph.stream.params import param

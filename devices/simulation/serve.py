@@ -12,7 +12,7 @@ from typing import ClassVar, TypeVar
 from kinegraph.devices.simulation.cable import Line, line_at
 from kinegraph.devices.simulation.device_model import Clocked, DeviceModel
 from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.source import Source
 

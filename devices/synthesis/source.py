@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from kinegraph.devices.synthesis.aims import Aim
 from kinegraph.devices.synthesis.blend_kernel import blended
+from kinegraph.devices.synthesis.goals import Aim
 from kinegraph.devices.synthesis.walker import GraphWalk
 from kinegraph.stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.domain.humanoid import BONES

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinegraph.devices.synthesis.aims import Aim, Progress
 from kinegraph.devices.synthesis.blend_kernel import blended, hold_feet, placed, room_for
-from kinegraph.devices.synthesis.way_search import Start, WaySearch
+from kinegraph.devices.synthesis.goals import Aim, Progress
+from kinegraph.devices.synthesis.path_search import Start, WaySearch
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.domain.humanoid import BONES
 from kinegraph.stream.domain.motion_graph import MotionGraph

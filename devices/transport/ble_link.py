@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from kinegraph.devices.transport.ble_radio import library, nobody, options, run, uuid, wanted
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.source import Feed
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from kinegraph.devices.transport.ble_link import BleLink
 from kinegraph.devices.transport.ble_radio import uuid
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 from kinegraph.stream.errors import DeviceError
 
 SCHEME = "ble://"

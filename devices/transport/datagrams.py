@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from contextlib import suppress
 
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 from kinegraph.stream.errors import DeviceError
 
 MOST = 65536

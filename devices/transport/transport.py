@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol, Self
 
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 from kinegraph.stream.errors import DeviceError
 
 MOST = 65536

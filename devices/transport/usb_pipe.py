@@ -6,7 +6,7 @@ import errno
 from contextlib import suppress
 from typing import Any
 
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 from kinegraph.devices.transport.usb_bus import UsbAddress, failure, find, who
 from kinegraph.stream.errors import DeviceError
 

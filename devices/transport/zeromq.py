@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinegraph.devices.transport.closed_at_end import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosedAtEnd
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.system.extras import optional
 

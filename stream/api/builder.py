@@ -16,7 +16,7 @@ from kinegraph.stream.errors import GraphError
 from kinegraph.stream.graph import Edge, Graph, Node, RecordingOptions
 from kinegraph.stream.graph.components import UseError, find
 from kinegraph.stream.graph.plan import plan
-from kinegraph.stream.graph.reading.growing import grown
+from kinegraph.stream.graph.reading.add_node import add_node
 from kinegraph.stream.graph.reading.load import Settings, load, load_text
 from kinegraph.stream.graph.reading.part_files import is_part
 from kinegraph.stream.graph.reading.problems import Problems
@@ -63,7 +63,7 @@ class GraphBuilder:
             "nodes": {},
         }
         entry = {"use": names.use_of(Annotations)}
-        self._nodes: dict[str, Node] = {"annotations": grown({}, "annotations", entry)}
+        self._nodes: dict[str, Node] = {"annotations": add_node({}, "annotations", entry)}
 
     @classmethod
     def load(cls, path: Path | str, overrides: Mapping[str, Any] | None = None) -> Self:
@@ -126,7 +126,7 @@ class GraphBuilder:
                 raise GraphError("the graph already has a node of this name", node=name)
             self._check_with(nodes={**written, name: entry})
         else:
-            node = grown({n: known for n, known in self._nodes.items() if n != name or n in written}, name, entry)
+            node = add_node({n: known for n, known in self._nodes.items() if n != name or n in written}, name, entry)
             self._nodes[name] = node
             self._document["nodes"][name] = entry
             self._text = ""

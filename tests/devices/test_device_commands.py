@@ -14,7 +14,7 @@ from usb.backend import libusb1
 
 from kinegraph.devices.commands.devices import devices
 from kinegraph.devices.commands.record import with_ports, written
-from kinegraph.devices.discovery import found
+from kinegraph.devices.discovery import finders
 from kinegraph.devices.discovery.serial_ports import BLUETOOTH, KNOWN, find
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.graph.reading.load import load_text
@@ -65,10 +65,10 @@ def test_the_yaml_that_is_shown_can_be_used() -> None:
 def test_what_is_found_is_printed(
     ports: None, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken() -> list[found.FoundDevice]:
+    def broken() -> list[finders.FoundDevice]:
         raise OSError("no such bus")
 
-    monkeypatch.setattr(found, "finders", lambda: {"bus": broken, "serial": find})
+    monkeypatch.setattr(finders, "finders", lambda: {"bus": broken, "serial": find})
     devices(None, False)
     printed = capsys.readouterr()
     assert "serial: /dev/ttyUSB0" in printed.out and "      use: devices.cyton.Cyton" in printed.out
@@ -80,10 +80,10 @@ def test_what_is_found_is_printed(
 
 
 def test_every_finder_of_the_house_can_be_asked() -> None:
-    known = found.finders()
+    known = finders.finders()
     assert "serial" in known
     for name, finder in known.items():
-        rows, failed = found.look(finder)
+        rows, failed = finders.look(finder)
         if name == "usb" and libusb1.get_backend() is None:
             assert "libusb 1.0 is not there; install it" in failed
             continue

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from kinegraph.devices.synthesis.aims import Aim
+from kinegraph.devices.synthesis.goals import Aim
+from kinegraph.devices.synthesis.path_search import MOST, WaySearch
 from kinegraph.devices.synthesis.source import NODE, Synthesis
 from kinegraph.devices.synthesis.walker import LEGS, GraphWalk
-from kinegraph.devices.synthesis.way_search import MOST, WaySearch
 from kinegraph.operators.features.stack import Stack
 from kinegraph.operators.maps.motion_graph.build import Nodes, build_graph, find_edges
 from kinegraph.operators.maps.motion_graph.clouds import cloud_distance, placement

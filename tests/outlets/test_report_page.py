@@ -23,8 +23,8 @@ from kinegraph.devices.reports.session.contents.data import (
     load,
     save,
 )
+from kinegraph.devices.reports.session.contents.labels import decimals
 from kinegraph.devices.reports.session.contents.peaks import MODE, MOVED, Peaks
-from kinegraph.devices.reports.session.contents.words import decimals
 from kinegraph.devices.reports.session.curves import _ellipse, draw, draw_modes
 from kinegraph.devices.reports.session.page import quality_sentence, render, write
 from tests.support.browser import Browser, needs_browser

@@ -13,7 +13,7 @@ import pytest
 from kinegraph.devices.reports.night import archive, weeks, weeks_page
 from kinegraph.devices.reports.night.archive import COLUMNS, EPOCHS, Facts, iso
 from kinegraph.devices.reports.night.page import draw
-from kinegraph.devices.reports.night.plain import headline, sentence
+from kinegraph.devices.reports.night.summary import headline, sentence
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.text.time_text import hour_of_day
 from tests.support.command_line import Command, refused

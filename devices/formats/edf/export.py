@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kinegraph.devices.formats.exporter import Export, Exporter, Written
-from kinegraph.devices.formats.gathered import Gathered, GriddedStream, events_of, gather, on_grids
+from kinegraph.devices.formats.whole_streams import Gathered, GriddedStream, events_of, gather, on_grids
 from kinegraph.stream.chunk import NS, Samples
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.system.atomic_file import complete, private_folder

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinegraph.devices.formats.understood import Asked, Understood
+from kinegraph.devices.formats.import_result import Asked, Understood
 from kinegraph.stream.errors import RecordingError
 
 HEAD = 256

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import Asked, Understood
 from kinegraph.devices.formats.lab.text_lines import TextLines, filled
-from kinegraph.devices.formats.understood import Asked, Understood
 
 UNITS = {"accelerometer": "m/s2", "gyroscope": "rad/s", "magnetometer": "uT", "barometer": "", "orientation": ""}
 MOST = 1e9

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import Asked, RateMissing, Understood, unit_of
 from kinegraph.devices.formats.lab.text_lines import NOTHING, TextLines, is_number
-from kinegraph.devices.formats.understood import Asked, RateMissing, Understood, unit_of
 from kinegraph.stream.errors import RecordingError
 
 AXES = ("x", "y", "z")

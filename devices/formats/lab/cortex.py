@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import Asked, Understood
 from kinegraph.devices.formats.lab.text_lines import TextLines, is_number
-from kinegraph.devices.formats.understood import Asked, Understood
 
 FORCE_UNITS = {"F": "N", "M": "Nmm", "X": "mm", "Y": "mm", "Z": "mm"}
 

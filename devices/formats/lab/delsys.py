@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import Asked, RateMissing, Understood, unit_of, voltage_by_size
 from kinegraph.devices.formats.lab.text_lines import TextLines, delimiter_of, filled, is_number
 from kinegraph.devices.formats.timing import grid_of
-from kinegraph.devices.formats.understood import Asked, RateMissing, Understood, unit_of, voltage_by_size
 from kinegraph.stream.chunk import NS, Samples
 from kinegraph.stream.errors import RecordingError
 

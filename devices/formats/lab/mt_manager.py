@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import Asked, RateMissing, Understood
 from kinegraph.devices.formats.lab.text_lines import TextLines
 from kinegraph.devices.formats.timing import lost_by_counter
-from kinegraph.devices.formats.understood import Asked, RateMissing, Understood
 from kinegraph.stream.chunk import Samples
 
 NO_SIGNAL = (

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from kinegraph.devices.formats.understood import Asked, Understood
+from kinegraph.devices.formats.import_result import Asked, Understood
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.domain.axes import Axes
 from kinegraph.stream.errors import RecordingError

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import VOLTAGES, Asked, Understood, unit_of
 from kinegraph.devices.formats.lab.text_lines import TextLines, delimiter_of, is_number
-from kinegraph.devices.formats.understood import VOLTAGES, Asked, Understood, unit_of
 
 UNIT = re.compile(r"^(.*?)(?:\s*[\[(]([^\])]*)[\])]|,\s*(uV|\u00b5V|mV|V|deg|N|g|mG|%))$")
 TEXTS = ("activity", "marker", "markers", "activities")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import Asked, Understood, unit_of
 from kinegraph.devices.formats.lab.text_lines import TextLines, delimiter_of, is_number
-from kinegraph.devices.formats.understood import Asked, Understood, unit_of
 from kinegraph.stream.chunk import Array
 from kinegraph.stream.errors import RecordingError
 

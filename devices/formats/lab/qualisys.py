@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import Asked, RateMissing, Understood
 from kinegraph.devices.formats.lab.text_lines import TextLines, is_number
-from kinegraph.devices.formats.understood import Asked, RateMissing, Understood
 from kinegraph.stream.chunk import Samples
 
 KEY = re.compile(r"^[A-Z][A-Z0-9_]+$")

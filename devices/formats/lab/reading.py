@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from kinegraph.devices.formats.column_table import Wishes, positive
+from kinegraph.devices.formats.import_result import Asked, RateMissing, Understood
 from kinegraph.devices.formats.importer import Reader
 from kinegraph.devices.formats.timing import plain_unit
-from kinegraph.devices.formats.understood import Asked, RateMissing, Understood
 from kinegraph.stream.data.bounded import reading
 from kinegraph.stream.errors import RecordingError, nearest
 from kinegraph.stream.recording.series import Series

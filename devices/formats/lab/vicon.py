@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinegraph.devices.formats.import_result import Asked, Understood, unit_of, without_prefix
 from kinegraph.devices.formats.lab.text_lines import TextLines, delimiter_of, filled, is_number
-from kinegraph.devices.formats.understood import Asked, Understood, unit_of, without_prefix
 from kinegraph.stream.chunk import NS, Samples
 from kinegraph.stream.errors import RecordingError
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kinegraph.devices.formats.exporter import FILE_NAME, Export, Exporter, Written, titled
-from kinegraph.devices.formats.gathered import gather
+from kinegraph.devices.formats.whole_streams import gather
 from kinegraph.stream.chunk import NS, utc
 from kinegraph.stream.data.columns import column_names, columns
 from kinegraph.stream.errors import RecordingError

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from kinegraph.devices.outlets.terminal.muscle_notes import HEADINGS, NOTES, TOLD, MuscleNotes
 from kinegraph.devices.outlets.terminal.view import TerminalView
-from kinegraph.devices.reports.session.contents.words import decimals, relative_to
+from kinegraph.devices.reports.session.contents.labels import decimals, relative_to
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.errors import InputError, ParameterError, nearest
 from kinegraph.stream.outlet import Outlet

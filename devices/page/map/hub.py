@@ -13,7 +13,7 @@ import structlog
 
 from kinegraph.devices.page.hub import Looking
 from kinegraph.devices.page.map import picture
-from kinegraph.devices.page.map.wanted import Wanted, WantedCurve, WantedFrames, WantedNear
+from kinegraph.devices.page.map.requests import Wanted, WantedCurve, WantedFrames, WantedNear
 from kinegraph.devices.page.transfer.wire import encode
 from kinegraph.stream.domain.pose_map import MotionIndex
 from kinegraph.stream.system.subprocesses import child

@@ -17,7 +17,7 @@ from kinegraph.devices.reports.night.archive import Facts, clock
 from kinegraph.devices.reports.night.log_state import LogState
 from kinegraph.devices.reports.night.night_writer import APART_NS, NightWriter
 from kinegraph.devices.reports.night.runtime import LogRuntime
-from kinegraph.devices.reports.session.contents.words import settings, versions
+from kinegraph.devices.reports.session.contents.labels import settings, versions
 from kinegraph.stream.chunk import Array, Chunk, Specs
 from kinegraph.stream.data.state import pack
 from kinegraph.stream.errors import ParameterError

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kinegraph.devices.reports.session.contents import words
+from kinegraph.devices.reports.session.contents import labels
 from kinegraph.devices.reports.session.contents.data import (
     Curves,
     Muscle,
@@ -36,7 +36,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
     cycles = specs["cycles"]
     session: Mapping[str, Any] = graph.session if graph else {}
     centre, spread = tally.gait.centre(), tally.gait.spread()
-    normalisation = words.normalisation(cycles.meta)
+    normalisation = labels.normalisation(cycles.meta)
     steps = max(2, len(cycles.meta.get("limbs") or ()))
     report = Report(
         title="",
@@ -44,7 +44,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
         normalisation=normalisation,
         started=max(tally.started, 0),
         ended=max(tally.ended, 0),
-        facts=[*_facts(tally, specs, session), *words.recording(graph)],
+        facts=[*_facts(tally, specs, session), *labels.recording(graph)],
         accepted=tally.accepted,
         rejected=tally.rejected,
         reasons=[(_reason(reason), n) for reason, n in most_common(tally)],
@@ -58,10 +58,10 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
             ReportValue("stance", float(centre[2]), "%", float(spread[2])),
         ],
         pairs=[ReportValue(name, value, "%") for name, value in zip(tally.pair_names, tally.pairs, strict=True)],
-        pairs_note=words.PAIRS.format(normalisation=normalisation) if tally.pairs else "",
+        pairs_note=labels.PAIRS.format(normalisation=normalisation) if tally.pairs else "",
         streams=_streams(tally, specs, names),
-        settings=list(words.settings(graph)) if graph else [],
-        versions=words.versions(),
+        settings=list(labels.settings(graph)) if graph else [],
+        versions=labels.versions(),
         graph=graph.text.strip() if graph else "",
         stance_percent=float(centre[2]),
         envelopes="envelope" in cycles.meta or str(cycles.units[0]) in ("V", "mV", "uV"),
@@ -69,7 +69,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
     report.hanging, report.contact_ms = _hanging(tally, specs)
     report.unjudged = _unjudged(tally, specs)
     report.unnamed = list(specs["timing"].meta.get("unnamed", ())) if "timing" in specs else []
-    _fill_table(report, tally, specs, words.sites(session, cycles.meta))
+    _fill_table(report, tally, specs, labels.sites(session, cycles.meta))
     fill_groups(report, tally, specs)
     groups = tally.groups
     by_stage = np.array([curve.centre() for curve in groups.stage_curves]).reshape(-1, *tally.curve.mean.shape)
@@ -84,7 +84,7 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
 
 
 def _facts(tally: Tally, specs: Specs, session: Mapping[str, Any]) -> list[tuple[str, str]]:
-    told = list(words.facts(session))
+    told = list(labels.facts(session))
     if tally.started > A_DATE:
         begun = str(np.datetime64(tally.started, "ns").astype("datetime64[s]"))
         told.append(("Begun", f"{begun.replace('T', ' ')} UTC"))
@@ -133,7 +133,7 @@ def _unjudged(tally: Tally, specs: Specs) -> list[tuple[str, int]]:
 
 
 def _reason(reason: str) -> str:
-    return words.REASONS.get(reason, reason)
+    return labels.REASONS.get(reason, reason)
 
 
 def _streams(tally: Tally, specs: Specs, names: Mapping[str, str]) -> list[Stream]:
@@ -170,12 +170,12 @@ def _fill_table(report: Report, tally: Tally, specs: Specs, sites: Mapping[str, 
     """The table's columns, and a row per muscle."""
     table: list[tuple[Samples, Samples]] = []
     for name, running in zip(numbers(specs.get("statistics")), tally.fields, strict=True):
-        if column := words.column(name, specs["statistics"]):
-            column.decimals = words.decimals(name, column.decimals, running.centre())
+        if column := labels.column(name, specs["statistics"]):
+            column.decimals = labels.decimals(name, column.decimals, running.centre())
             report.columns.append(column)
             table.append((running.centre(), running.spread()))
     for name, values in zip(numbers(specs.get("muscles")), tally.overall, strict=True):
-        if name in OVERALL and (column := words.column(name, specs["muscles"])):
+        if name in OVERALL and (column := labels.column(name, specs["muscles"])):
             report.columns.append(column)
             table.append((values, np.full(len(values), np.nan)))
     for i, name in enumerate(specs["cycles"].channels):

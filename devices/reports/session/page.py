@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kinegraph.devices.reports.session.contents.data import Curves, Muscle, Report, ReportValue, Stream, load
-from kinegraph.devices.reports.session.contents.words import normalisation_text
+from kinegraph.devices.reports.session.contents.labels import normalisation_text
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.system.atomic_file import write_complete
 from kinegraph.stream.text.time_text import elapsed, now, time_of_day

@@ -13,9 +13,9 @@ from kinegraph.devices.outlets.append_file import AppendFile
 from kinegraph.devices.outlets.output_lock import check_path, claim, let_go
 from kinegraph.devices.reports.session.compose import compose
 from kinegraph.devices.reports.session.contents.data import Curves, Report
-from kinegraph.devices.reports.session.contents.place import free_stem, page_of, recording_of
+from kinegraph.devices.reports.session.contents.labels import relative_to
+from kinegraph.devices.reports.session.contents.paths import free_stem, page_of, recording_of
 from kinegraph.devices.reports.session.contents.tally import Tally, hear, nothing_yet, numbers
-from kinegraph.devices.reports.session.contents.words import relative_to
 from kinegraph.devices.reports.session.curve_table import write_curves
 from kinegraph.devices.reports.session.cycle_rows import (
     About,

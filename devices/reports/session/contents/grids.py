@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kinegraph.devices.reports.session.contents import each_burst, words
+from kinegraph.devices.reports.session.contents import each_burst, labels
 from kinegraph.devices.reports.session.contents.data import Grid, LimbPanel, Report
 from kinegraph.devices.reports.session.contents.groups import Groups
 from kinegraph.devices.reports.session.contents.running import Running
@@ -229,7 +229,7 @@ def _stages(tally: Tally, specs: Specs) -> list[Grid]:
     made = [Grid("Stage by stage", "Cycles that lie wholly in a stage; mean ± standard deviation.", columns, rows)]
     fields = numbers(specs.get("statistics"))
     for field in (name for name in SHOWN if name in fields):
-        column = words.column(field, specs["statistics"])
+        column = labels.column(field, specs["statistics"])
         k = fields.index(field)
         cells = [
             [name, *(_muscle(by_stage, k, i, column.decimals if column else 1) for by_stage in groups.stage_fields)]

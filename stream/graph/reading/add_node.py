@@ -14,7 +14,7 @@ from kinegraph.stream.graph.reading.wiring import Wiring
 from kinegraph.stream.graph.reading.yaml_lines import locate
 
 
-def grown(nodes: Mapping[str, Node], name: str, entry: Mapping[str, Any]) -> Node:
+def add_node(nodes: Mapping[str, Node], name: str, entry: Mapping[str, Any]) -> Node:
     """One more node, given as a graph's file writes it, which may read those that are there; raises GraphError."""
     problems = Problems("")
     if name in nodes:

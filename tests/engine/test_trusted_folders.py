@@ -90,7 +90,7 @@ def test_a_kernels_own_folder_is_nobody_elses(tmp_path: Path, monkeypatch: pytes
     umask = os.umask(0)
     try:
         assert kernel.kernel(doubled)(2.0) == 4.0
-        (made,) = (tmp_path / "cache" / "kernels").glob("*test_trusted-*")
+        (made,) = (tmp_path / "cache" / "kernels").glob("*test_trusted_folders-*")
         assert made.stat().st_mode & 0o077 == 0
         made.chmod(0o777)
         with pytest.raises(KinegraphError, match=r"may be written by others.*chmod go-w"):

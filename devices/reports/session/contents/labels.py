@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from kinegraph.devices.reports.session.contents.data import Column, Setting
-from kinegraph.devices.reports.session.contents.place import recording_of
+from kinegraph.devices.reports.session.contents.paths import recording_of
 from kinegraph.stream.chunk import Samples, StreamSpec
 from kinegraph.stream.graph import Graph
 from kinegraph.stream.outlet import Outlet

@@ -44,7 +44,7 @@ class ReportWatch:
             return []
         self._looked = moment
         from kinegraph.devices.reports.night import archive
-        from kinegraph.devices.reports.night.plain import headline
+        from kinegraph.devices.reports.night.summary import headline
 
         root = Path(self._news.nights).absolute()
         found: list[tuple[int, Path]] = []

@@ -25,7 +25,7 @@ from kinegraph.stream.params import param
 GRAPH = """
 nodes:
   board: {use: parts.Counting, samples: 2500, realtime: true, patience_s: 0.3, silence_s: 0.6, stale_s: 0.5}
-  stall: {use: tests.engine.test_held_up.Stall, from: board}
+  stall: {use: tests.engine.test_stalled_graph.Stall, from: board}
   out: {use: parts.Collect, from: stall, policy: block}
 """
 

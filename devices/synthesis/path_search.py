@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinegraph.devices.synthesis import plan_kernel as beam
-from kinegraph.devices.synthesis.aims import Sought
+from kinegraph.devices.synthesis.goals import Sought
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.domain.motion_graph import MotionGraph, edges_from
 

@@ -159,9 +159,9 @@ class FailingSource(Fails, Source):
 
 GRAPH = """
 nodes:
-  source: {{use: tests.engine.test_blamed.FailingSource, where: {source}, how: {how}}}
-  operator: {{use: tests.engine.test_blamed.FailingOperator, from: source, where: {operator}, how: {how}}}
-  outlet: {{use: tests.engine.test_blamed.FailingOutlet, from: operator, where: {outlet}, how: {how}}}
+  source: {{use: tests.engine.test_part_failures.FailingSource, where: {source}, how: {how}}}
+  operator: {{use: tests.engine.test_part_failures.FailingOperator, from: source, where: {operator}, how: {how}}}
+  outlet: {{use: tests.engine.test_part_failures.FailingOutlet, from: operator, where: {outlet}, how: {how}}}
 """
 BEFORE = {"__post_init__", "open", "suits", "memory_bytes", "specs", "facts", "live", "chunk_s", "prepare"}
 """In which nothing is recorded yet."""
