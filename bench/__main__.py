@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument(
         "--readme",
         action="store_true",
-        help="write goals and tables into docs/performance.md, five goals into the README",
+        help="write goals and tables into docs/lab/performance.md, five goals into the README",
     )
     given = parser.parse_args()
     only = DEVICES if given.devices else given.only
@@ -48,7 +48,7 @@ def main() -> None:
         told = about(field, load, time.monotonic() - began)
     print(whole(sections, told))
     if given.readme:
-        publish(sections, told, "performance.md")
+        publish(sections, told, "lab/performance.md")
         headline(sections, told)
 
 

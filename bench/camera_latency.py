@@ -1,8 +1,8 @@
 """`python -m bench.camera_latency`: from a camera's stamp to the VMC datagram, and from motion to what the datagram says of it.
 
 Runs the shipped config `avatar` in real time, a rendered performer in the camera's place, and receives its datagrams over UDP. Prints one
-row of the table in docs/latency.md: the time from a frame's stamp to the last datagram of its pose; the lag of the sent wrists behind the
-true ones by cross-correlation, with the filters and the prediction of the config; both together. `--alone` leaves the network out.
+row of the table in docs/lab/latency.md: the time from a frame's stamp to the last datagram of its pose; the lag of the sent wrists behind
+the true ones by cross-correlation, with the filters and the prediction of the config; both together. `--alone` leaves the network out.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ ruptures (KernelCPD, PELT), claspy (ClaSP) and stumpy (FLUSS), in an environment
 is; claspy's ClaSS and stumpy's FLOSS, which stream, see it frame by frame. The number of cuts is given to those that accept it; what they
 can be set to is set once for all recordings, with the annotations in hand: the best mean F1 counts. kinegraph has its defaults and sees
 the recording as it comes. Needs the folder that KINEGRAPH_DATA names.
-`--write` puts the table into docs/segmentation-figures.md.
+`--write` puts the table into docs/lab/segmentation-figures.md.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def main() -> None:
     parser.add_argument(
         "--all", action="store_true", help="all twelve annotated recordings; else the five of four channels"
     )
-    parser.add_argument("--write", action="store_true", help="write the table into docs/segmentation-figures.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/lab/segmentation-figures.md")
     given = parser.parse_args()
     folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
     if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
@@ -97,7 +97,7 @@ def main() -> None:
     sections = [cuts(folder, every if given.all else every[:1])]
     print(whole(sections, "By `python -m bench.cuts`."))
     if given.write:
-        publish(sections, "By `python -m bench.cuts`.", "segmentation-figures.md", *marks("bench.cuts"))
+        publish(sections, "By `python -m bench.cuts`.", "lab/segmentation-figures.md", *marks("bench.cuts"))
 
 
 if __name__ == "__main__":

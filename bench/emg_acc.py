@@ -3,7 +3,7 @@
 Needs the folder of recordings that KINEGRAPH_DATA names. No recording there has both, so the acceleration is computed: walks overground
 were recorded with four leg muscles and with markers on both legs, and an accelerometer is put on each shank, halfway between knee and
 ankle. It turns with the shank and feels gravity. Strides are those of the right foot, by Zeni's offline method on the markers. `--write`
-puts the table into docs/segmentation-figures.md.
+puts the table into docs/lab/segmentation-figures.md.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def table(folder: Path, most: int = 0) -> Section:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.emg_acc", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="of two walks, to see that it works")
-    parser.add_argument("--write", action="store_true", help="write the table into docs/segmentation-figures.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/lab/segmentation-figures.md")
     given = parser.parse_args()
     folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "emg"
     if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
@@ -185,7 +185,7 @@ def main() -> None:
     sections = [table(folder, 2 if given.quick else 0)]
     print(whole(sections, "By `python -m bench.emg_acc`."))
     if given.write:
-        publish(sections, "By `python -m bench.emg_acc`.", "segmentation-figures.md", *marks("bench.emg_acc"))
+        publish(sections, "By `python -m bench.emg_acc`.", "lab/segmentation-figures.md", *marks("bench.emg_acc"))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """One cycle's and one step's work beside numpy's and scikit-learn's, in one run: mixtures refitted, divergences, step features, forests.
 
-    python -m bench.gait            # a minute; --write puts the table into docs/performance.md
+    python -m bench.gait            # a minute; --write puts the table into docs/lab/performance.md
     python -m bench.gait --quick    # to see that it works, not for figures
 
 Processor time of one thread; contenders take turns. What takes less than 0.1 ms is timed ten at a time. Needs scikit-learn.
@@ -229,13 +229,13 @@ def section(seconds: float, rounds: int) -> Section:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.gait", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="tiny sizes: to see that it works, not for figures")
-    parser.add_argument("--write", action="store_true", help="write goals and table into docs/performance.md")
+    parser.add_argument("--write", action="store_true", help="write goals and table into docs/lab/performance.md")
     given = parser.parse_args()
     made = [section(0.01, 1) if given.quick else section(0.15, 9)]
     about = "Measured by `python -m bench.gait`."
     print(whole(made, about))
     if given.write:
-        publish(made, about, "performance.md", *marks("bench.gait"))
+        publish(made, about, "lab/performance.md", *marks("bench.gait"))
 
 
 if __name__ == "__main__":

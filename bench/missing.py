@@ -1,7 +1,8 @@
 """`python -m bench.missing`: what missing values cost the count of repetitions. Simulated, through the nodes of segment_kinect; Markdown.
 
 Three exercises of ten repetitions, 4 s apart, before a depth camera with 6 mm of noise; lost is a wrist, or by chance a share of the frames
-or of every joint's values. `--write` puts the table into docs/segmentation-figures.md; `--quick`: to see that it works, not for figures.
+or of every joint's values. `--write` puts the table into docs/lab/segmentation-figures.md; `--quick`: to see that
+it works, not for figures.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.missing", description=__doc__)
     parser.add_argument("--draws", type=int, default=20, help="how many sessions of each kind (20)")
     parser.add_argument("--quick", action="store_true", help="one session of each")
-    parser.add_argument("--write", action="store_true", help="write the table into docs/segmentation-figures.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/lab/segmentation-figures.md")
     given = parser.parse_args()
     seeds, rows = range(1 if given.quick else given.draws), []
     for lost in LOSSES:
@@ -70,7 +71,7 @@ def main() -> None:
     sections = [Section("Missing values", header, rows, [about])]
     print(whole(sections, "By `python -m bench.missing`."))
     if given.write:
-        publish(sections, "By `python -m bench.missing`.", "segmentation-figures.md", *marks("bench.missing"))
+        publish(sections, "By `python -m bench.missing`.", "lab/segmentation-figures.md", *marks("bench.missing"))
 
 
 if __name__ == "__main__":

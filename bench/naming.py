@@ -3,7 +3,7 @@
 Needs the folder of recordings that KINEGRAPH_DATA names: twelve exercises, done by two people (one of them twice). The repetitions that are
 found in one recording teach, each by the exercise that was annotated for most of it; those found in another are named. Open set: each
 exercise in turn is not taught, and should be `unknown`; then each is taught by itself. `--write` puts the tables into
-docs/segmentation-figures.md.
+docs/lab/segmentation-figures.md.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def alone(sets: Sets) -> Section:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.naming", description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write the table into docs/segmentation-figures.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/lab/segmentation-figures.md")
     given = parser.parse_args()
     folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
     if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
@@ -137,7 +137,7 @@ def main() -> None:
     sections = [naming(sets), alone(sets)]
     print(whole(sections, "By `python -m bench.naming`."))
     if given.write:
-        publish(sections, "By `python -m bench.naming`.", "segmentation-figures.md", *marks("bench.naming"))
+        publish(sections, "By `python -m bench.naming`.", "lab/segmentation-figures.md", *marks("bench.naming"))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`python -m bench.pictures docs/simplified.png`: a face in relief as measured and as simplified (thesis, figure 4.3), and what is left.
+"""`python -m bench.pictures docs/pictures/simplified.png`: a face in relief as measured and as simplified (thesis, 4.3).
 
 Prints the share of the relief's detail finer than a block that is left, by the number of components.
 """

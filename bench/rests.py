@@ -3,7 +3,7 @@
 The first needs the folder of recordings that KINEGRAPH_DATA names: somebody stands for 0, 20 and 60 s (the first frame, with noise), then
 does what was recorded; scores are of what was recorded, and that the motion began is not counted as a cut. The second is simulated: ten
 repetitions, standing before each and after the last, and sets of ten with 30 s between them. `--write` puts the tables into
-docs/segmentation-figures.md; `--quick`: to see that it works, not for figures.
+docs/lab/segmentation-figures.md; `--quick`: to see that it works, not for figures.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.rests", description=__doc__)
     parser.add_argument("--draws", type=int, default=12, help="how many simulated sets of each kind (12)")
     parser.add_argument("--quick", action="store_true", help="one recording and one draw of each")
-    parser.add_argument("--write", action="store_true", help="write the tables into docs/segmentation-figures.md")
+    parser.add_argument("--write", action="store_true", help="write the tables into docs/lab/segmentation-figures.md")
     given = parser.parse_args()
     folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
     if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
@@ -137,7 +137,7 @@ def main() -> None:
     sections = [before(folder, quick=given.quick), between(1 if given.quick else given.draws)]
     print(whole(sections, "By `python -m bench.rests`."))
     if given.write:
-        publish(sections, "By `python -m bench.rests`.", "segmentation-figures.md", *marks("bench.rests"))
+        publish(sections, "By `python -m bench.rests`.", "lab/segmentation-figures.md", *marks("bench.rests"))
 
 
 if __name__ == "__main__":

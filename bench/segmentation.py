@@ -2,7 +2,7 @@
 
 Accuracy needs the folder of recordings that the environment variable KINEGRAPH_DATA names. One set of defaults for all; intervals are 95 %,
 from drawing recordings again and again. `--speed`: how long a frame takes instead, beside other libraries. `--write` puts the tables into
-docs/segmentation-figures.md. `--quick`: to see that it works, not for figures.
+docs/lab/segmentation-figures.md. `--quick`: to see that it works, not for figures.
 """
 
 from __future__ import annotations
@@ -267,7 +267,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.segmentation", description=__doc__)
     parser.add_argument("--speed", action="store_true", help="how long a frame takes")
     parser.add_argument("--quick", action="store_true", help="no best radii, short windows, no other libraries")
-    parser.add_argument("--write", action="store_true", help="write goals and tables into docs/segmentation-figures.md")
+    parser.add_argument(
+        "--write", action="store_true", help="write goals and tables into docs/lab/segmentation-figures.md"
+    )
     given = parser.parse_args()
     sections = (
         [speed(quick=given.quick), many_exemplars(quick=given.quick)] if given.speed else accuracy(quick=given.quick)
@@ -275,7 +277,7 @@ def main() -> None:
     name = "bench.segmentation" + (" --speed" if given.speed else "")
     print(whole(sections, f"By `python -m {name}`."))
     if given.write:
-        publish(sections, f"By `python -m {name}`.", "segmentation-figures.md", *marks(name))
+        publish(sections, f"By `python -m {name}`.", "lab/segmentation-figures.md", *marks(name))
 
 
 if __name__ == "__main__":

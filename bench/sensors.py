@@ -1,7 +1,7 @@
 """`python -m bench.sensors`: strides counted from one inertial sensor on a foot or the back, and cycles from leg muscles; Markdown.
 
 Needs the folder of recordings that KINEGRAPH_DATA names. Each recording is a walk there and back with a turn; annotated are the contacts
-of both feet, and a stride is from one contact of a foot to the next. `--write` puts the table into docs/segmentation-figures.md.
+of both feet, and a stride is from one contact of a foot to the next. `--write` puts the table into docs/lab/segmentation-figures.md.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def emg(name: str, x: Array, cycles: int) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.sensors", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="of one person, to see that it works")
-    parser.add_argument("--write", action="store_true", help="write tables into docs/segmentation-figures.md")
+    parser.add_argument("--write", action="store_true", help="write tables into docs/lab/segmentation-figures.md")
     given = parser.parse_args()
     folder = Path(os.environ.get("KINEGRAPH_DATA", ""))
     if not os.environ.get("KINEGRAPH_DATA") or not (folder / "steps").is_dir():
@@ -175,7 +175,7 @@ def main() -> None:
     sections = [inertial(folder / "steps", 1 if given.quick else 0), muscles(folder / "emg")]
     print(whole(sections, "By `python -m bench.sensors`."))
     if given.write:
-        publish(sections, "By `python -m bench.sensors`.", "segmentation-figures.md", *marks("bench.sensors"))
+        publish(sections, "By `python -m bench.sensors`.", "lab/segmentation-figures.md", *marks("bench.sensors"))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`python -m bench.steering_figures DATA docs`: two people steer a horse, a dog's gaits on a galloping horse (thesis, figures 9.1, 9.6).
+"""`python -m bench.steering_figures DATA docs/pictures`: two people steer a horse, a dog's gaits on a galloping horse (thesis, 9.1, 9.6).
 
 DATA holds steering/horse-gallop.npz, steering/dog_mocap_joints.npz, body/cmu_mocap_30hz.npz and body/human_male.npz. Writes
 steering-actors.png and steering-transfer.png, and prints what they show in numbers: how well each hoof follows its foot.

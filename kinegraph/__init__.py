@@ -1,4 +1,4 @@
-"""kinegraph for Python programs and notebooks: a tour. `import kinegraph as kg`; docs/python.md shows all of it at work.
+"""kinegraph for Python programs and notebooks: a tour. `import kinegraph as kg`; docs/use/python.md shows all of it at work.
 
 An operator on an array. Its parameters are checked where they are given, as those of a YAML file are:
 
@@ -30,11 +30,11 @@ While it runs, in a program or a notebook (`async for`):
     with kg.live("treadmill_emg", ["cycles.closed"]) as session:
         for piece in session: piece.series
 
-What `kinegraph batch` made of many recordings (docs/batch.md):
+What `kinegraph batch` made of many recordings (docs/use/batch.md):
 
     kg.BatchResults("results").to_pandas("smooth")
 
-An operator of one's own is a frozen dataclass (docs/operators.md), held to the laws by `kg.try_(Gain)`:
+An operator of one's own is a frozen dataclass (docs/extend/operator.md), held to the laws by `kg.try_(Gain)`:
 
     Operator, Outlet, Source, param, kernel, Case, Chunk, StreamSpec
 

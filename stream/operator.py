@@ -1,7 +1,7 @@
 """What is done to streams: the operator, its ports, its state, and the cases it is tried on.
 
 An operator is three things: frozen parameters (its dataclass fields), a state, and `process`. It remembers nothing outside the state,
-so that a snapshot of the state is a snapshot of the operator. `docs/operators.md` shows how to write one.
+so that a snapshot of the state is a snapshot of the operator. `docs/extend/operator.md` shows how to write one.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Operator(Generic[S]):
     delays     in words, for the docs: by how much its stamps are earlier than what it has been given
     agrees     what its numbers equal, or where its method is from
     departures rules of the laws (stream/laws/violations.py) that do not hold here on purpose, each with the reason, for the docs
-    panels     panels of its own for the page: per kind, the name of a JavaScript module beside this one (docs/page.md)
+    panels     panels of its own for the page: per kind, the name of a JavaScript module beside this one (docs/use/page.md)
     """
 
     __slots__ = ("decision_s", "delay_s", "state")

@@ -1,4 +1,4 @@
-"""`python -m tests.filter_table`: write the table of filters in docs/filters.md from what they declare; a test compares."""
+"""`python -m tests.filter_table`: write the table of filters in docs/method/filters.md from what they declare; a test compares."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from kinegraph.stream.graph.components import catalogue
 from kinegraph.stream.operator import Operator
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "filters.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "method" / "filters.md"
 HEAD = "| operator | what it does | parameters | delay | equal to, or source |\n|---|---|---|---|---|\n"
 USUAL = {"reset_gap_s": 0.1}
 """What most have; told where it differs."""

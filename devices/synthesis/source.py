@@ -40,8 +40,8 @@ class Synthesis(Source):
     cluster's name (stay in it), `x z` (go there), a name and `x z` (go there in it), `wander`, `stop`.
 
     Where two stretches meet they are blended over 5 to 15 frames, rotations along great circles; a foot that stands stays where it is.
-    Thesis, chapter 10; Kovar, Gleicher and Pighin 2002. Departures: docs/motion-graphs.md. What it gives is recorded, and replayed, as of
-    any source.
+    Thesis, chapter 10; Kovar, Gleicher and Pighin 2002. Departures: docs/method/motion-graphs.md. What it gives is recorded, and
+    replayed, as of any source.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("pose", "node")

@@ -1,4 +1,4 @@
-"""How far a marker can be trusted: what speaks against it, weighed as it did on rendered bodies (docs/body.md)."""
+"""How far a marker can be trusted: what speaks against it, weighed as it did on rendered bodies (docs/lab/body.md)."""
 
 from __future__ import annotations
 

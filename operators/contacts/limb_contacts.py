@@ -35,7 +35,7 @@ DETECTORS: dict[str, type[Contacts[Any]]] = {
 class LimbContacts(OnePerLimb[Contacts[Any]]):
     """One stream (force of all belts, all markers, all switches) in; touch-downs and lift-offs of all limbs out, in order of time.
 
-    `detector` is one of the operators that find the contacts of one foot (docs/contacts.md: `force` is ForceContacts, `switch`
+    `detector` is one of the operators that find the contacts of one foot (docs/method/contacts.md: `force` is ForceContacts, `switch`
     SwitchContacts, `marker` MarkerContacts, `inertial` InertialContacts, `acceleration` AccelerationContacts), `common` its parameters,
     and `limbs` those that differ: {left: {channels: [Fz_left]}, right: {channels: [Fz_right]}}. An event's field `limb` is the name that
     stands there. Everything else, delay and errors included, is the detector's. Memory: one detector per limb.

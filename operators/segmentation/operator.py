@@ -67,7 +67,7 @@ class Segment(Operator[SegmentState]):
     8 cycle_s^2 + 2 features window_s (mirrored: 3) + 75 features cycle_s: 256 exemplars, or 24 of the longest. Distances are taken
     over what both frames have; a frame has no neighbour if it lacks more than half of what has been there within `window_s`, and a feature
     that has not is left out, which is logged. A gap longer than `reset_gap_s` ends what is open; exemplars are kept.
-    Source: thesis, 2.3 to 2.5. Departures: docs/segmentation.md.
+    Source: thesis, 2.3 to 2.5. Departures: docs/method/segmentation.md.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("mirrored", "in")

@@ -69,7 +69,7 @@ class SegmentState(Continuity):
             self.warned = True
             log.warning(
                 "most of what is counted may be chance: repetitions lie as far apart as in motion of random phases;"
-                " docs/segmentation.md says which sensors tell repetitions",
+                " docs/method/segmentation.md says which sensors tell repetitions",
                 doubtful=self.doubtful, of=self.judged, t_ns=int(self.memory.books[NOW]),
             )  # fmt: skip
 
@@ -79,7 +79,7 @@ class SegmentState(Continuity):
         if books[NEXT] < books[FIRM] and self.sure < FEW and (self.cut > 1 or self.judged):
             log.warning(
                 "too little motion to tell what repeats: what was cut and counted is not to be relied on;"
-                " docs/segmentation.md says which sensors tell repetitions",
+                " docs/method/segmentation.md says which sensors tell repetitions",
                 motion_s=round(int(books[NEXT]) * self.period_ns / NS, 1), least_s=round(int(books[FIRM]) * self.period_ns / NS, 1),
                 t_ns=int(self.last[0]),
             )  # fmt: skip

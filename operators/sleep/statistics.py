@@ -88,7 +88,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
 
     `estimated` is true for the last two (and for lights that never came on again): then `tib` is only a "time in bed", `sol` an
     estimate.
-    Every row names its `convention`; what each number is by which stands with stream.domain.night.night and in docs/sleep.md. Minutes;
+    Every row names its `convention`; stream.domain.night.night and docs/method/sleep.md define each number by each convention. Minutes;
     `se`, `movement`, `fragmentation`, `total_fragmentation` in %. Unknown epochs enter no numerator; `_low` and `_high` bound what they
     leave open. sleep_onset, sleep_end: 0 where there was no sleep. Epochs that were never told are unknown.
 

@@ -33,7 +33,7 @@ the newest stamp."""
 
 
 def rule_of(wait_s: float = 0.0, gap_s: float = 0.3, apart_s: float = APART_S, least: float = LEAST_M_S2) -> Array:
-    """The rule (1,); docs/steps.md has what its neighbours find."""
+    """The rule (1,); docs/lab/steps.md has what its neighbours find."""
     return np.array([(least, *(round(s * NS) for s in (apart_s, wait_s, gap_s)))], RULE)
 
 

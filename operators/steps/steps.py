@@ -64,13 +64,13 @@ class Steps(Operator[StepsState]):
 
     Acceleration is found by its unit (m/s2, g), angular velocity by its (rad/s, deg/s). A step is a peak of acceleration's norm below 5 Hz;
     it is certain when the value has fallen by 0.7 m/s2, and `wait_s` after the peak at the earliest: waiting costs delay and saves false
-    steps (docs/steps.md has the curve). Steps are more than `shortest_s` apart: 0.36 s are 166 steps/min, and runners take more.
+    steps (docs/lab/steps.md has the curve). Steps are more than `shortest_s` apart: 0.36 s are 166 steps/min, and runners take more.
 
     The features are the thesis's: length and duration, and of each channel mean, standard deviation, least, most, RMS, entropy, energy and
     the largest spectral amplitude. `axes: gravity` takes amounts that do not depend on how the sensor is turned: along the step's mean
     acceleration, across it, and the norm. `length_m` is Weinberg's model (2002): `length_factor` times the fourth root of the range of
-    vertical acceleration. 0.37 fits walks of 13 people best whose protocol says 10 m (docs/steps.md); the feature `length` has Weinberg's
-    0.46 always, which trained models rely on.
+    vertical acceleration. 0.37 fits walks of 13 people best whose protocol says 10 m (docs/lab/steps.md); the feature `length` has
+    Weinberg's 0.46 always, which trained models rely on.
 
     Stamped when it is certain; onset and end are where the peaks are. NaN in a sample leaves that sample out; a gap longer than
     `reset_gap_s` begins again.

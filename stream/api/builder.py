@@ -50,7 +50,7 @@ class GraphBuilder:
         session: Mapping[str, Any] | None = None,
         recording: Mapping[str, Any] | None = None,
     ) -> None:
-        """The keys of a graph's file beside `nodes` and `record`, with the same meanings (docs/graphs.md)."""
+        """The keys of a graph's file beside `nodes` and `record`, with the same meanings (docs/use/graphs.md)."""
         settings = {"name": name, "latency_budget_ms": latency_budget_ms, "checkpoint_s": checkpoint_s}
         given = build(Settings, settings)
         build(RecordingOptions, recording or {})
@@ -117,7 +117,7 @@ class GraphBuilder:
         part      a source, operator or outlet, or the file of a part ("parts/emg_cycles.yaml"), which adds that part's nodes
         reads     where its input comes from: "node", "node.output", a list of these, or a mapping {port: "node.output"}
         record    keep what comes out of it (its first output) in recordings and results; see `record`
-        options   the engine's: queue, policy, worker, required, ... (docs/graphs.md); of a part, its settings
+        options   the engine's: queue, policy, worker, required, ... (docs/use/graphs.md); of a part, its settings
         """
         entry = _entry(name, part, reads, options)
         written = self._document["nodes"]
@@ -138,7 +138,7 @@ class GraphBuilder:
         """Declare what a person may set: `--set NAME=VALUE`, the overrides of `load`.
 
         feeds   the parameters that get the value ("envelope.cutoff_hz"); left out: the session's fact of this name
-        facts   label, unit, help, type, default, min, max, choices (docs/graphs.md)
+        facts   label, unit, help, type, default, min, max, choices (docs/use/graphs.md)
         """
         entry = {**({"feeds": _written("feeds", feeds)} if feeds else {}), **facts}
         self._check_with(settings={**self._document.get("settings", {}), name: entry})

@@ -231,7 +231,7 @@ def kinegraph(*arguments: object) -> None:
 
 
 def test_vertices_that_are_chosen_of_a_mesh_are_markers_and_no_mesh() -> None:
-    """They kept the mesh's facts: the page of docs/steering.md's own example broke off, and nothing was shown."""
+    """They kept the mesh's facts: the page of docs/method/steering.md's own example broke off, and nothing was shown."""
     mesh = topology().spec(24.0, meta={"site": "stable"})
     marked = Select(channels=NUMBERS, rename={str(NUMBERS[0]): "hoof"}).open({"in": mesh})["out"]
     assert kind_of(mesh) == "mesh" and kind_of(marked) == "points" and marked.meta == {"site": "stable"}

@@ -356,7 +356,7 @@ def test_cycles_begin_at_the_touchdowns() -> None:
 def test_the_nodes_in_the_docs_can_be_built() -> None:
     from ruamel.yaml import YAML
 
-    page = (Path(__file__).resolve().parents[2] / "docs" / "contacts.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "method" / "contacts.md").read_text(encoding="utf-8")
     parts, _ = catalogue(("operators",))
     nodes = YAML(typ="safe").load(page.split("```yaml\n")[1].split("```")[0])
     assert len(nodes) == 7

@@ -80,7 +80,7 @@ def words(text: str) -> str:
     return " ".join(text.split())
 
 
-FIRST_READ = {"README", "CONTRIBUTING", "running", "graphs", "python", "operators"}
+FIRST_READ = {"README", "CONTRIBUTING", "running", "graphs", "python", "operator"}
 """The commands of these pages run before every change, those of all others every night."""
 WITH_COMMANDS = [
     pytest.param(page, id=page.stem, marks=() if page.stem in FIRST_READ else pytest.mark.nightly)
@@ -113,15 +113,15 @@ def test_the_links_of_a_page(page: Path) -> None:
 
 
 def test_the_page_on_graphs_explains_every_key() -> None:
-    text = (HOUSE / "docs" / "graphs.md").read_text(encoding="utf-8")
+    text = (HOUSE / "docs" / "use" / "graphs.md").read_text(encoding="utf-8")
     for cls in (NodeOptions, RecordingOptions, Settings):
         for key in fields(cls):
-            assert f"| `{key.name}` |" in text, f"docs/graphs.md does not explain {key.name!r}"
+            assert f"| `{key.name}` |" in text, f"docs/use/graphs.md does not explain {key.name!r}"
     assert all(f"| `{section}` |" in text for section in SECTIONS if section != "nodes")
 
 
 def test_the_page_on_graphs_knows_what_is_taken_where_nothing_is_given() -> None:
-    text = (HOUSE / "docs" / "graphs.md").read_text(encoding="utf-8")
+    text = (HOUSE / "docs" / "use" / "graphs.md").read_text(encoding="utf-8")
     graph = load_text("nodes: {a: {use: stream.manual.Value, initial: 1}}")
     for key, given in re.findall(r"^\| `(\w+)` \| ([\d.]+) \|", text, re.MULTILINE):
         holders = [h for h in (graph.nodes["a"].options, graph.recording, graph) if hasattr(h, key)]
@@ -136,7 +136,12 @@ CASES = re.compile(r"^(\d+) cases?$")
 
 def attacks() -> list[tuple[str, str, str, list[str]]]:
     """(count, setting, program, its arguments) of every row of the table of what was tried."""
-    text = (HOUSE / "docs" / "trust.md").read_text(encoding="utf-8").split("## What was tried")[1].split("\n## ")[0]
+    text = (
+        (HOUSE / "docs" / "use" / "trust.md")
+        .read_text(encoding="utf-8")
+        .split("## What was tried")[1]
+        .split("\n## ")[0]
+    )
     rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| attack")]
     found = [(*match[:3], shlex.split(match[3])) for match in ATTACK.findall(text)]
     assert len(found) == len(rows), "a row of the table has no command that can be run"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-GLOSSARY = ROOT / "docs" / "glossary.md"
+GLOSSARY = ROOT / "docs" / "use" / "glossary.md"
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 ROW = re.compile(r"^\| (?!term|---)(.+?) \| (.+?) \| (.+?) \|$", re.MULTILINE)
 OTHER_NAMES = re.compile(
@@ -79,6 +79,6 @@ def test_docstrings_and_messages_are_native_english(package: str) -> None:
     assert found == []
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/graphs.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/use/graphs.md"])
 def test_the_glossary_is_found(page: str) -> None:
     assert "glossary.md" in (ROOT / page).read_text(encoding="utf-8")

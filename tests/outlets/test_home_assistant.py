@@ -26,7 +26,7 @@ from tests.support.mosquitto import broker, listening
 
 HERE = Path(__file__).parent
 CONFIG = HERE.parents[1] / "configs" / "bedside_sleep.yaml"
-DOCS = HERE.parents[1] / "docs" / "bedside.md"
+DOCS = HERE.parents[1] / "docs" / "use" / "bedside.md"
 NOW = 1_767_225_600 * NS
 
 

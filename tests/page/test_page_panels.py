@@ -3,7 +3,7 @@
 Once of a simulated session, and once of real recordings: EMG on a treadmill, motion capture, a galloping horse's mesh, and depth images
 (rendered of a real motion).
 
-`KINEGRAPH_PICTURES=docs pytest tests/page/test_page_panels.py -k pictures` makes the pictures of docs/page.md.
+`KINEGRAPH_PICTURES=docs/pictures pytest tests/page/test_page_panels.py -k pictures` makes the pictures of docs/use/page.md.
 """
 
 from __future__ import annotations

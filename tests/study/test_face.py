@@ -50,8 +50,8 @@ def test_what_is_public_is_listed() -> None:
     for name in kg.__all__:
         assert getattr(kg, name) is not None
         assert name == "__version__" or name in dir(kg)
-        assert re.search(rf"\b{name}\b", (HOUSE / "docs" / "python.md").read_text()), (
-            f"docs/python.md does not show {name}"
+        assert re.search(rf"\b{name}\b", (HOUSE / "docs" / "use" / "python.md").read_text()), (
+            f"docs/use/python.md does not show {name}"
         )
     with pytest.raises(AttributeError, match="no attribute 'Graf'"):
         kg.Graf  # type: ignore[attr-defined]  # noqa: B018

@@ -1,4 +1,4 @@
-// The live map: where the newest pose lies, and how it came there; of a grid, its cells with their poses (docs/motion-map.md).
+// The live map: where the newest pose lies, and how it came there; of a grid, its cells with their poses (docs/method/motion-map.md).
 
 import { type Body, drawPose, extent, type Eye } from "./map_pose";
 import { colour, type Page, Panel, Sheet, shade, type Span } from "./panel";

@@ -1,4 +1,4 @@
-// What the server of a map of motion tells, as arrays: see docs/motion-map.md.
+// What the server of a map of motion tells, as arrays: see docs/method/motion-map.md.
 
 export interface SequenceInfo {
   name: string; first: number; last: number; start_s: number; rate_hz: number;

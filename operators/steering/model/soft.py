@@ -13,7 +13,7 @@ from kinegraph.stream.kernel import kernel
 
 WIDTHS, RIDGES = (0.03, 0.05), (0.1, 0.5)
 """How far a marker is felt along the surface, in diagonals of the mesh; how softly the mesh follows it. Frames left out would choose .12,
-which brings the mean down further; but vertices between two markers are then off by more than without any pull (docs/steering.md)."""
+which brings the mean down further; but vertices between two markers are then off by more than without any pull (docs/lab/steering.md)."""
 MOST = 95.0
 """A marker pulls no farther than this percentile of what it was off by in frames left out."""
 
