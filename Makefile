@@ -13,6 +13,9 @@ OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
 BIN := .venv/bin
 
+# compiled modules are kept: without them every start of a command reads all of the source again (1.5 s of processor time)
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo check test nightly test-peers bench fuzz soak nights audit licences site dist clean
 
 demo: .venv/installed
@@ -34,13 +37,13 @@ test: .venv/installed-for-tests
 
 nightly: .venv/installed-for-tests
 	$(BIN)/python -m tests.compile_kernels
-	KINEGRAPH_FUZZ_S=$(FUZZ_S) $(BIN)/pytest -n 3 --dist loadgroup -m "nightly or not nightly"
+	KINEGRAPH_FUZZ_S=$(FUZZ_S) KINEGRAPH_EXAMPLES=50 $(BIN)/pytest -n 3 --dist loadgroup -m "nightly or not nightly"
 
 test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps bitalino vmcp "osc4py3<1.0.4"
 	$(BIN)/python -m tests.compile_kernels
-	$(BIN)/pytest -n 2 --dist loadgroup tests/peers tests/devices/test_oak.py tests/files/test_depthai_replay.py tests/devices/test_simulators.py \
+	$(BIN)/pytest -n 2 --dist loadgroup -m "nightly or not nightly" tests/peers tests/devices/test_oak.py tests/files/test_depthai_replay.py tests/devices/test_simulators.py \
 		tests/files/test_export.py tests/files/test_lab_exports.py tests/sleep/test_night_report.py
 
 # damaged copies of valid files of every format and of every kind of model, FUZZ_S seconds each, others every day

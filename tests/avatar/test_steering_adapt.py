@@ -33,6 +33,7 @@ from kinegraph.stream.operator import grid
 from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
 from tests.support.command_line import call_command
+from tests.support.tiers import rest_nightly
 
 NAMES, AT = tuple(marked()), np.array(list(marked().values()))
 FACES = topology().faces
@@ -283,7 +284,7 @@ def test_by_the_swing_alone_a_limbs_frames_are_those_of_the_equation() -> None:
     assert np.allclose(made.learned.weights, wanted.weights)
 
 
-@pytest.mark.parametrize("size", [0.4, 1.0, 2.5])
+@pytest.mark.parametrize("size", rest_nightly(0.4, 1.0, 2.5))
 def test_another_gait_of_another_body_moves_the_mesh_in_its_own_time(size: float) -> None:
     model = fit_steering(STRIDE, FACES, marked(), REFERENCE, LIMBS)
     marks = pacing(np.arange(90) / 30)

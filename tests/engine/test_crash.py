@@ -21,6 +21,7 @@ from kinegraph.stream.recording import Recording
 from kinegraph.stream.recording.format import checkpoint
 from kinegraph.stream.recording.format.checkpoint import Checkpoint
 from tests.support import SUPPORT
+from tests.support.tiers import rest_nightly
 
 GRAPH = """
 checkpoint_s: 0.3
@@ -186,7 +187,7 @@ def test_killed_while_a_checkpoint_is_written(config: Path, tmp_path: Path) -> N
     check_whole(folder, config)
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.2, 0.5, 1.0])
+@pytest.mark.parametrize("after_s", rest_nightly(0.0, 0.2, 0.5, 1.0))
 def test_killed_while_resuming(after_s: float, config: Path, tmp_path: Path) -> None:
     folder = tmp_path / "s"
     process = live(config, folder)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.support.command_line import BOARD, Command, refused, wait_for
+from tests.support.tiers import rest_nightly
 
 TABLES: list[tuple[str | bytes, str]] = [
     ("", "the file is empty"),
@@ -155,7 +156,7 @@ main.main()
 """
 
 
-@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("ending", rest_nightly(signal.SIGKILL, signal.SIGTERM, signal.SIGINT))
 @pytest.mark.parametrize("command", ["import", "export"])
 def test_killed_in_the_middle_no_half_file_bears_the_name(
     command: str, ending: signal.Signals, kinegraph: Command, made: Path, tmp_path: Path

@@ -46,6 +46,8 @@ TRIED: list[tuple[str, list[str], set[str]]] = [
     ("segment_emg", ["board.realtime=false", "board.duration_s=60"], {"segment"}),
 ]  # fmt: skip
 """A shipped graph that is run to the end of its source, settings, nodes that give events."""
+LONG = {"bedside_simulated", "treadmill_both_legs"}
+"""Graphs of these that run nightly."""
 ALIKE = {
     "bedside_sleep": "bedside_simulated",
     "bedside_two": "bedside_simulated",
@@ -71,7 +73,10 @@ def test_every_shipped_graph_that_says_when_events_come_is_tried() -> None:
     assert all(eventful(config) <= eventful(other) for config, other in ALIKE.items())
 
 
-@pytest.mark.parametrize(("config", "settings", "seen"), TRIED)
+@pytest.mark.parametrize(
+    ("config", "settings", "seen"),
+    [pytest.param(*graph, marks=[pytest.mark.nightly] if graph[0] in LONG else []) for graph in TRIED],
+)
 def test_no_event_of_a_shipped_graph_comes_later_than_check_says(
     config: str, settings: list[str], seen: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -206,7 +206,7 @@ def circling(cycles: int, length: int = 36, seed: int = 1) -> Any:
     return noisy
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(1, 6))])
 def test_the_live_events_are_the_references_for_any_length_of_the_recording(seed: int) -> None:
     operator, x = Segment(**QUICK), motion(seed, bad=seed % 3 == 0, rests=seed % 2 == 0)
     for n in (len(x), len(x) * 2 // 3, 100):
@@ -319,7 +319,7 @@ def mirror_images(x: Any) -> tuple[Any, Any]:
     return x[:, [2, 3, 0, 1, 4, 5]] * [1.0, 1.0, 1.0, 1.0, -1.0, 1.0], np.array([1, 1, 0, 0, 0, 0])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (1, 2))])
 def test_the_live_events_with_a_mirror_are_the_references(seed: int) -> None:
     between = np.cumsum(np.random.default_rng(seed).normal(size=(90, 6)) * 0.15, 0)
     x = np.concatenate([walking(7, seed=seed), between, walking(6, seed=seed, phase=0.0), motion(seed, bad=True)[:200]])

@@ -51,6 +51,15 @@ def small(tmp_path: Path) -> Iterator[PageProcess]:
 
 
 @pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
+    """The same session for all tests that only look at it."""
+    folder = tmp_path_factory.mktemp("running")
+    (folder / "small.yaml").write_text(SMALL)
+    with page_process(folder, "run", "small.yaml", "--view", "none", "--no-record") as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveBrowser]:
     with live_browser(tmp_path_factory.mktemp("browser")) as found:
         yield found
@@ -130,8 +139,8 @@ def test_a_server_that_is_killed_is_started_again_the_page_comes_back_and_the_gr
 @needs_browser
 @pytest.mark.parametrize("size", [(375, 4000), (1920, 4000)], ids=["phone", "projector"])
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_it_fits_and_can_be_read(small: PageProcess, browser: LiveBrowser, size: tuple[int, int], theme: str) -> None:
-    browser.open(small.url, *size)
+def test_it_fits_and_can_be_read(running: PageProcess, browser: LiveBrowser, size: tuple[int, int], theme: str) -> None:
+    browser.open(running.url, *size)
     browser.wait("document.querySelector('.signal')?.dataset.points > 20")
     browser.value(f"document.documentElement.dataset.theme = '{theme}'")
     assert browser.value("document.documentElement.scrollWidth <= innerWidth")
@@ -189,25 +198,25 @@ def test_a_server_that_stands_still_costs_views_and_never_samples(small: PagePro
     verified(tmp_path)
 
 
-def test_headers_forbid_what_a_page_does_not_need(small: PageProcess) -> None:
+def test_headers_forbid_what_a_page_does_not_need(running: PageProcess) -> None:
     for path in ("/", "/page.js", "/page.css"):
-        status, headers, body = answer(small, path)
+        status, headers, body = answer(running, path)
         assert status == 200
         assert "default-src 'none'" in headers["content-security-policy"]
         assert "unsafe" not in headers["content-security-policy"]
         assert headers["x-content-type-options"] == "nosniff"
         assert len(body) < 1_000_000
-    assert b"<script>" not in answer(small, "/")[2]
+    assert b"<script>" not in answer(running, "/")[2]
 
 
 @pytest.mark.parametrize("path", ["/../pyproject.toml", "/built/page.js", "/%2e%2e/x", "//etc/passwd", "/page.js/"])
-def test_a_client_cannot_name_files(small: PageProcess, path: str) -> None:
-    assert answer(small, path)[0] == 404
+def test_a_client_cannot_name_files(running: PageProcess, path: str) -> None:
+    assert answer(running, path)[0] == 404
 
 
-def test_another_web_site_is_refused(small: PageProcess) -> None:
-    assert answer(small, "/", Host="evil.example")[0] == 403
-    with pytest.raises(InvalidStatus, match="403"), small.client(origin="https://evil.example"):
+def test_another_web_site_is_refused(running: PageProcess) -> None:
+    assert answer(running, "/", Host="evil.example")[0] == 403
+    with pytest.raises(InvalidStatus, match="403"), running.client(origin="https://evil.example"):
         pass
 
 
@@ -224,9 +233,9 @@ def test_another_web_site_is_refused(small: PageProcess) -> None:
     ],
 )
 def test_a_message_that_cannot_be_ends_its_connection_and_nothing_else(
-    small: PageProcess, message: str | bytes
+    running: PageProcess, message: str | bytes
 ) -> None:
-    with small.client() as hostile, small.client() as other:
+    with running.client() as hostile, running.client() as other:
         see(other)
         hostile.send(message)
         with pytest.raises(Exception, match=r"1008|1009"):

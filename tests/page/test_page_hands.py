@@ -19,6 +19,7 @@ from tests.page.test_page import SMALL
 from tests.support.browser import needs_browser
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import needs_page, page_process, until
+from tests.support.tiers import rest_nightly
 
 pytestmark = [needs_page, needs_browser, pytest.mark.timeout(280)]
 
@@ -206,7 +207,7 @@ UNREACHED = """
 """
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("theme", rest_nightly("light", "dark"))
 def test_all_that_can_be_done_is_reached_by_keys_and_the_focus_is_seen(
     browser: LiveBrowser, tmp_path: Path, theme: str
 ) -> None:

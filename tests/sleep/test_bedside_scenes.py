@@ -15,6 +15,7 @@ from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.operator import grid
 from tests.sleep.depth_frames import blocks_spec, play
 from tests.support.rendered_room import RenderedRoom, Scene
+from tests.support.tiers import rest_nightly
 
 GRAPH = """
 nodes:
@@ -63,7 +64,9 @@ def test_a_plain_night_has_no_reasons() -> None:
 
 @pytest.mark.parametrize(
     ("shift_m", "degrees", "regions"),
-    [(0.08, 0.0, "[]"), (-0.06, 0.0, "[[16, 80, 160, 96]]"), (0.08, 2.0, "[[16, 80, 160, 96]]"), (0.0, 1.5, "[]")],
+    rest_nightly(
+        (0.08, 0.0, "[]"), (-0.06, 0.0, "[[16, 80, 160, 96]]"), (0.08, 2.0, "[[16, 80, 160, 96]]"), (0.0, 1.5, "[]")
+    ),
 )
 def test_a_nudged_camera_is_noticed_and_the_bed_is_learned_again(shift_m: float, degrees: float, regions: str) -> None:
     told = Told(Scene(2700, IN, moves=MOVES, nudges=((1500, shift_m, degrees),)), regions)
@@ -84,11 +87,13 @@ def test_a_jump_too_far_to_follow_is_noticed_and_a_region_that_was_set_holds_no_
     assert told.of(1530, 2370) == ({"unknown"}, {"camera"})
 
 
+@pytest.mark.nightly
 def test_noise_in_bed_of_more_than_three_times_the_empty_beds_is_learned() -> None:
     told = Told(Scene(3000, ((120.0, 3000.0),), moves=(400.0, 1000.0), coarse=((120.0, 3000.0),)))
     assert told.of(1500, 2940) == ({"sleep"}, {""})
 
 
+@pytest.mark.nightly
 def test_people_beds_and_lamps_are_no_jump_of_the_view() -> None:
     scene = Scene(
         1500, ((100, 1300),), partner=((300, 600),), standing=((50, 90), (700, 720), (800, 1000)), heap=((1300, 1500),),
@@ -134,13 +139,13 @@ CAME, LEFT = (1410.0, 2100.0), (900.0, 1410.0)
 
 @pytest.mark.parametrize(
     ("name", "partner", "nudges", "off"),
-    [
+    rest_nightly(
         ("came in a cut, and is there after another", CAME, (), ((1380, 1500), (1800, 1860))),
         ("came in a cut after a nudge", CAME, ((900, 0.08, 0.0),), ((1380, 1500),)),
         ("came in the cut in which the camera was nudged", CAME, ((1400, 0.08, 0.0),), ((1380, 1500),)),
         ("left in the cut in which the camera was nudged", LEFT, ((1400, -0.08, 0.0),), ((1380, 1500),)),
         ("was there when the camera was nudged", (900.0, 2100.0), ((1400, 0.08, 0.0),), ()),
-    ],
+    ),
 )
 def test_a_second_body_is_noticed_across_power_cuts_and_nudges(
     name: str, partner: tuple[float, float], nudges: tuple[tuple[float, float, float], ...], off: tuple[tuple[float, float], ...]
@@ -159,6 +164,7 @@ def test_a_second_body_is_noticed_across_power_cuts_and_nudges(
     assert told.of(2700, 2760)[0] == {"sleep"}
 
 
+@pytest.mark.nightly
 def test_a_heap_left_behind_is_unknown_after_ten_minutes_and_empty_after_45() -> None:
     told = Told(Scene(4200, ((120.0, 900.0),), heap=((900.0, 4200.0),), moves=(400.0, 880.0)))
     begun, end = 900 + 10 * 60 + 90, 900 + 45 * 60 - 60

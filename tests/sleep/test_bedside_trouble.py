@@ -28,6 +28,7 @@ from kinegraph.stream.graph.reading.load import load
 from kinegraph.stream.operator import grid
 from tests.sleep.depth_frames import frames_spec
 from tests.sleep.failing_camera import BEGUN, FailingCamera
+from tests.support.tiers import rest_nightly
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 NIGHT = """
@@ -106,6 +107,7 @@ def test_usb_that_fails_every_minute_is_opened_every_time_and_no_epoch_is_lost(
     assert (bed[: int((facts.numbers["end"] - epochs.onset[0]) / NS / 30)] == "in").all(), "nobody left the bed"
 
 
+@pytest.mark.nightly
 def test_a_camera_that_changes_its_resolution_is_an_error_of_the_camera_and_no_movement(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -124,7 +126,7 @@ def test_a_camera_that_changes_its_resolution_is_an_error_of_the_camera_and_no_m
 # clocks, and cameras that come late ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ppm", [-300, 300])
+@pytest.mark.parametrize("ppm", rest_nightly(-300, 300))
 def test_a_camera_whose_clock_drifts_loses_and_doubles_no_epoch(ppm: int) -> None:
     run, made = held(f"bed_h: 0.9, seed: 1, drift_ppm: {ppm}")
     at, _ = finals(run)

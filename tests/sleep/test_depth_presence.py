@@ -15,6 +15,7 @@ from kinegraph.stream.chunk import NS, Array, StreamSpec
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import grid
 from tests.sleep.depth_frames import blocks_spec, frames_spec, play, regions
+from tests.support.tiers import rest_nightly
 
 RATE = 4.0
 ROWS, COLUMNS = 15, 20
@@ -172,7 +173,7 @@ def test_movement_is_what_exceeds_the_noise_of_the_stillest_epochs() -> None:
     assert (abs(made["epochs"]["threshold"][3:40] - 0.64) < 0.02).all()
 
 
-@pytest.mark.parametrize(("grows", "why"), [(0.0, "light"), (0.41, ""), (1.0, "")])
+@pytest.mark.parametrize(("grows", "why"), rest_nightly((0.0, "light"), (0.41, ""), (1.0, "")))
 def test_a_steady_rise_is_a_light_where_it_does_not_grow_with_the_time(grows: float, why: str) -> None:
     """Noise is as far after two looks as after one; a random walk is farther by 0.41 of it, steady movement by all of it."""
     low, high = motion(60), 5 * motion(200, seed=1)

@@ -18,6 +18,7 @@ from kinegraph.stream.chunk import NS, Array
 from kinegraph.stream.engine.session import Session
 from kinegraph.stream.graph.reading.load import load, read_expanded
 from tests.support.command_line import Command, kinegraph
+from tests.support.tiers import rest_nightly
 
 __all__ = ["kinegraph"]
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "bedside_two.yaml"
@@ -79,7 +80,7 @@ def through(regions: str) -> tuple[Array, Array, Array]:
 
 @pytest.mark.parametrize(
     "regions",
-    ["[]", "[[8, 32, 104, 72], [8, 104, 104, 56]]"],
+    rest_nightly("[]", "[[8, 32, 104, 72], [8, 104, 104, 56]]"),
     ids=["found", "a block too far"],
 )
 def test_of_a_hundred_movements_of_the_one_hardly_any_is_the_others(regions: str) -> None:

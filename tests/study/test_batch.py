@@ -37,6 +37,7 @@ from kinegraph.stream.errors import GraphError, KinegraphError
 from kinegraph.stream.recording.series import write_recording
 from kinegraph.stream.system.memory_limit import ceiling
 from tests.support.command_line import KINEGRAPH, Command, kinegraph, refused
+from tests.support.tiers import rest_nightly
 
 __all__ = ["kinegraph"]
 
@@ -448,7 +449,7 @@ def queue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             os.killpg(int(pid), signal.SIGKILL)
 
 
-@pytest.mark.parametrize("where", sorted(QUEUES))
+@pytest.mark.parametrize("where", rest_nightly(*sorted(QUEUES)))
 def test_through_a_queue(folder: Path, queue: Path, where: str) -> None:
     pytest.importorskip("dask_jobqueue")
     settings = {f"DASK_JOBQUEUE__{where.upper()}__INTERFACE": "lo"}
