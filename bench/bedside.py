@@ -77,7 +77,7 @@ class Run:
             wire.observers.append(lambda chunk, name=name: self._kept[name].append((chunk.time, chunk.data)))
 
     def run(self) -> Run:
-        self.graph.nodes["camera"].part.fresh().read(self)  # type: ignore[union-attr]
+        self.graph.nodes["camera"].part.unopened().read(self)  # type: ignore[union-attr]
         for entry in self.pipeline.entries:
             self.pipeline.end(entry)
         self.pipeline.close()
@@ -104,7 +104,7 @@ class Run:
 
     def ready(self) -> None: ...
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         return None
 
     def problem(self, kind: str, count: int = 1) -> None: ...

@@ -17,21 +17,21 @@ import numpy as np
 
 from bench.report import Section, short, whole
 from kinegraph.devices.lines.indexed_simulator import Indexed
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.stream.engine.session import Session
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.recording import Recording
 
 RATE_HZ = 200.0
-ONCE = Misbehaviour(unplug_every_s=12.0, unplug_s=9.0)
-LOOSE = Misbehaviour(unplug_every_s=3.6, unplug_s=0.8)
+ONCE = FaultInjection(unplug_every_s=12.0, unplug_s=9.0)
+LOOSE = FaultInjection(unplug_every_s=3.6, unplug_s=0.8)
 GRAPH = """
 nodes:
   lines: {{use: devices.lines.AsciiLines, port: {port}, columns: [index, t, n], time: t, rate_hz: {rate}}}
 """
 
 
-def indices(wrong: Misbehaviour, seconds: float) -> np.ndarray:
+def indices(wrong: FaultInjection, seconds: float) -> np.ndarray:
     """The true indices of all samples (n,) that a session of so many seconds has recorded."""
     with tempfile.TemporaryDirectory() as folder, Indexed(rate_hz=RATE_HZ).serving(wrong) as port:
         outcome = Session(
@@ -43,14 +43,14 @@ def indices(wrong: Misbehaviour, seconds: float) -> np.ndarray:
             return recording.read("lines")[1][:, 0]
 
 
-def returned(seen: np.ndarray, wrong: Misbehaviour) -> np.ndarray:
+def returned(seen: np.ndarray, wrong: FaultInjection) -> np.ndarray:
     """Seconds (n,) from the plug's return to the first line made afterwards that was kept."""
     missing = np.flatnonzero(np.diff(seen) > wrong.unplug_s * RATE_HZ / 2)
     first = seen[missing + 1] / RATE_HZ
     return first - (np.floor(first / wrong.unplug_every_s) * wrong.unplug_every_s + wrong.unplug_s)
 
 
-def kept(seen: np.ndarray, wrong: Misbehaviour) -> float:
+def kept(seen: np.ndarray, wrong: FaultInjection) -> float:
     """The share of the lines sent with the plug in, between the first and the last recorded one."""
     sent = np.arange(seen[0], seen[-1] + 1) / RATE_HZ
     within = (sent >= wrong.unplug_every_s) & (sent % wrong.unplug_every_s < wrong.unplug_s)

@@ -142,7 +142,7 @@ def natnet_figures() -> dict[str, float]:
 def polar_figures() -> dict[str, float]:
     """us a frame of 73 samples of ECG."""
     belt = PolarBelt()
-    belt.hear(polar_pmd.CONTROL, polar_pmd.start(polar_pmd.ECG, rate=130, resolution=14))
+    belt.receive(polar_pmd.CONTROL, polar_pmd.start(polar_pmd.ECG, rate=130, resolution=14))
     n = N // 4
     frames = [belt._frame(polar_pmd.ECG, 130, i, 73) for i in range(n * ROUNDS)]
     reading, feed = PolarReading(Polar(), PmdDecoder(), "belt"), Clocked()
@@ -275,7 +275,7 @@ class Feed:
 feed = Feed()
 source = load_text(GRAPH.replace("9999", sys.argv[2]).replace("9998", sys.argv[2])).nodes[sys.argv[1]].part
 source.prepare()
-threading.Thread(target=source.fresh().read, args=(feed,), daemon=True).start()
+threading.Thread(target=source.unopened().read, args=(feed,), daemon=True).start()
 while not feed.samples: time.sleep(0.01)
 time.sleep(float(sys.argv[4]))
 first, cpu = feed.samples, time.process_time()

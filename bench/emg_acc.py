@@ -68,7 +68,7 @@ def part(name: str) -> Operator[Any]:
     """An operator of the shipped graph."""
     operator = read("segment_emg_acc").nodes[name].part
     assert isinstance(operator, Operator)
-    return operator.fresh()
+    return operator.unopened()
 
 
 def aligned(streams: dict[str, Series]) -> Series:

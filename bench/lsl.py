@@ -61,7 +61,7 @@ class Noted(Operator[Nothing]):
     ages: ClassVar[list[float]] = []
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing())
+        self.set_state(Nothing())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> None:

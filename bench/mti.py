@@ -56,15 +56,15 @@ class Idle:
 
     def ready(self) -> None: ...
 
-    def hear(self, timeout_s: float) -> str | None: ...
+    def listen(self, timeout_s: float) -> str | None: ...
 
 
 def packets(seconds: float) -> list[bytes]:
     """Measurements as the sensor sends them."""
     brain = MtiModel()
     outputs = Mti("usb://2639", rate_hz=RATE_HZ, high_rate=True).wanted
-    brain.hear(xbus.message(xbus.GO_TO_CONFIG))
-    brain.hear(xbus.message(xbus.OUTPUT_CONFIGURATION, xbus.configuration(outputs)))
+    brain.receive(xbus.message(xbus.GO_TO_CONFIG))
+    brain.receive(xbus.message(xbus.OUTPUT_CONFIGURATION, xbus.configuration(outputs)))
     return brain.packets(0, round(seconds * RATE_HZ))
 
 

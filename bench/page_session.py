@@ -99,7 +99,7 @@ class Aged(Operator[Ages]):
     ages: ClassVar[list[int]] = []
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Ages())
+        self.set_state(Ages())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> None:

@@ -45,7 +45,7 @@ class Identity(Operator[Nothing]):
     """Passes on what it gets, in a chunk of its own."""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing())
+        self.set_state(Nothing())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
@@ -57,7 +57,7 @@ class Count(Operator[Nothing]):
     """The end of the chain: hands what comes to the trial's sink."""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing())
+        self.set_state(Nothing())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -72,7 +72,7 @@ class FirstSample(Operator[Nothing]):
     noted: ClassVar[bool] = False
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing())
+        self.set_state(Nothing())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> None:

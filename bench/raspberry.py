@@ -108,7 +108,7 @@ class Arrivals(Outlet[ArrivalsState, Told]):
     path: str = param("arrivals.json")
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(ArrivalsState(), Told())
+        self.set_state(ArrivalsState(), Told())
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:

@@ -57,7 +57,7 @@ class Writing:
 
     def ready(self) -> None: ...
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         return None
 
     def identify(self, device: str, **facts: str | float) -> None: ...

@@ -59,7 +59,7 @@ def shipped(config: str, source: str) -> list[tuple[str, Operator[Any]]]:
         node = graph.nodes[name]
         assert isinstance(node.part, Operator)
         port = "in" if "in" in node.inputs else next(iter(node.inputs))
-        chain.append((port, node.part.fresh()))
+        chain.append((port, node.part.unopened()))
         name = node.inputs[port].node
     return chain[::-1]
 

@@ -76,7 +76,7 @@ while True:
             command = bytes([byte])
             if command == b"b": sending, due = True, time.monotonic()
             elif command == b"s": sending = False
-            elif answer := board.hear(command): os.write(master, answer)
+            elif answer := board.receive(command): os.write(master, answer)
     if sending and time.monotonic() >= due:
         due += 1 / 250
         us = time.monotonic_ns() // 1000
@@ -104,7 +104,7 @@ class NewestAge(Operator[Nothing]):
     ages: ClassVar[list[int]] = []
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing())
+        self.set_state(Nothing())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -120,7 +120,7 @@ class PacketAge(Operator[Nothing]):
     numbers: ClassVar[list[int]] = []
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing())
+        self.set_state(Nothing())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> None:

@@ -150,7 +150,7 @@ class SampleWise(Operator[S]):
         dtype = spec.dtype if self.keeps_dtype else numeric(spec).dtype
         begun = self.begin(spec)
         state, kernel = begun if isinstance(begun, tuple) else (begun, type(self).kernel)
-        self.hold(state, delay_s=getattr(state, "delay_s", 0.0))
+        self.set_state(state, delay_s=getattr(state, "delay_s", 0.0))
         settling_s = spec.settling_s + getattr(state, "settling_s", 0.0)
         out = self.gives(spec.derive(dtype=dtype, settling_s=settling_s))
         run, call = self._bind(kernel)

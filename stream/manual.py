@@ -41,7 +41,7 @@ class Annotations(Source):
         spec = self.specs()["out"]
         feed.ready()
         while not feed.stopped:
-            word = feed.hear(self.heard_s)
+            word = feed.listen(self.heard_s)
             now = feed.now()
             if word is None:
                 feed.emit(empty(spec, now))
@@ -89,4 +89,4 @@ class Value(Source):
                 feed.emit(empty(spec, now))
             else:
                 feed.emit(Chunk(np.array([now]), np.array([[self.accepts(word)]]), now))
-            word = feed.hear(HEARTBEAT_S)
+            word = feed.listen(HEARTBEAT_S)

@@ -50,8 +50,8 @@ class Operator(Generic[S]):
                sample was; "finite" are rows in which NaN stands for what is not a finite number; "any" is the stream as it is
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
     delays     in words, for the docs: by how much its stamps are earlier than what it has been given
-    agrees     what its numbers equal, or where its method is from
-    departures rules of the laws (stream/laws/violations.py) that do not hold here on purpose, each with the reason, for the docs
+    references what its numbers equal, or where its method is from
+    exemptions rules of the laws (stream/laws/violations.py) that do not hold here on purpose, each with the reason, for the docs
     panels     panels of its own for the page: per kind, the name of a JavaScript module beside this one (docs/use/page.md)
     """
 
@@ -67,35 +67,35 @@ class Operator(Generic[S]):
     is_outlet: ClassVar[bool] = False
     contiguous: ClassVar[bool] = False
     delays: ClassVar[str] = "none"
-    agrees: ClassVar[str] = ""
-    departures: ClassVar[dict[str, str]] = {}
+    references: ClassVar[str] = ""
+    exemptions: ClassVar[dict[str, str]] = {}
     panels: ClassVar[Mapping[str, str]] = {}
 
     state: S
     delay_s: float
-    """How much later than the newest input sample an output sample's stamp is reached (group delay, windows, look-ahead); set by `hold`."""
+    """Delay between an output's stamp and the newest input sample it needed (group delay, windows, look-ahead); set by `set_state`."""
     decision_s: Mapping[str, float]
-    """By output of events: how long after what an event describes (its `end`, else its `onset`) it comes at the latest, in time of the
-    operator's own input; what an event that led to it was late itself comes on top. Alarms that are over are left out of it. Set by `hold`;
-    an output that is left out promises nothing."""
+    """By output of events: the longest time from the `end` (else `onset`) that an event describes to the event, in the operator's own
+    input time; the delay of an event that led to it is added. Alarms that are over do not count. An output that is missing here promises
+    nothing. Set by `set_state`."""
 
     def __post_init__(self) -> None:
         check(self)
 
     def open(self, specs: Specs) -> Specs:
-        """Check the input specs (by port), allocate the state with `hold`, and return the output specs (by port).
+        """Check the input specs (by port), allocate the state with `set_state`, and return the output specs (by port).
 
         Raises ParameterError or InputError for everything that can be wrong, before any device opens.
         """
         raise NotImplementedError
 
-    def suits(self, session: Mapping[str, Any]) -> None:
+    def check_session(self, session: Mapping[str, Any]) -> None:
         """Raise ParameterError where the operator is not for this session, by its facts (subject, side, ...); {} where none are known.
 
         Called before a session or a replay begins, in a replay with the facts of the recording.
         """
 
-    def words(self) -> Sequence[str]:
+    def annotations_understood(self) -> Sequence[str]:
         """What a person may say to it by an annotation, as the page's buttons offer it; one that ends in a blank takes a text behind it."""
         return ()
 
@@ -121,13 +121,13 @@ class Operator(Generic[S]):
         """What it is run on before devices open: cases that call every kernel with arguments of every type that `cases` do, only sooner."""
         return cls.cases()
 
-    def hold(self, state: S, *, delay_s: float = 0.0, decision_s: Mapping[str, float] | None = None) -> None:
+    def set_state(self, state: S, *, delay_s: float = 0.0, decision_s: Mapping[str, float] | None = None) -> None:
         """Keep the state (a slotted dataclass of arrays, numbers and texts) and declare the delays; called by `open`."""
         object.__setattr__(self, "state", state)
         object.__setattr__(self, "delay_s", delay_s)
         object.__setattr__(self, "decision_s", dict(decision_s or {}))
 
-    def fresh(self) -> Self:
+    def unopened(self) -> Self:
         """The same operator, not opened."""
         return replace(self)  # type: ignore[type-var]
 
@@ -187,7 +187,7 @@ def _applied(operator: Operator[Any], given: Series) -> dict[str, Array]:
     """What an operator with one input makes of a whole stream: every output's samples, by name."""
     from kinegraph.stream.data.rows import taking  # it has kernels, and numba takes long to import
 
-    fresh = operator.fresh()
+    fresh = operator.unopened()
     port = _required_input(operator)
     specs = fresh.open({port: given.spec})
     take = taking(fresh, {port: given.spec})

@@ -23,7 +23,7 @@ class Outlet(Operator[S], Generic[S, R]):
     An outlet is silent in replay unless it is asked to speak. It runs on the worker `outlets` unless told otherwise, and when it fails it
     is reported and switched off while the graph goes on. `open` only checks and allocates (a graph is opened to be checked, too); what
     touches the world begins in `begin`. Whatever a running outlet needs besides its state (specs, open files, a connection) is
-    its `runtime`, of the type that `Outlet[State, Runtime]` names: `hold` keeps it, and no snapshot has it.
+    its `runtime`, of the type that `Outlet[State, Runtime]` names: `set_state` keeps it, and no snapshot has it.
 
     durable    whether the outlet can take its words back: after a crash it is restored to its last snapshot (a file is cut back to the
                length it had) and given again what followed, so that nothing is doubled or missing. One that is not durable, a network,
@@ -40,7 +40,7 @@ class Outlet(Operator[S], Generic[S, R]):
 
     runtime: R
 
-    def hold(
+    def set_state(
         self,
         state: S,
         runtime: R | None = None,
@@ -49,7 +49,7 @@ class Outlet(Operator[S], Generic[S, R]):
         decision_s: Mapping[str, float] | None = None,
     ) -> None:
         """Keep the state and what belongs to a running outlet only (see `runtime`); called by `open`."""
-        super().hold(state, delay_s=delay_s, decision_s=decision_s)
+        super().set_state(state, delay_s=delay_s, decision_s=decision_s)
         object.__setattr__(self, "runtime", runtime)
 
     @property

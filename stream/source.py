@@ -57,7 +57,7 @@ class Feed(Protocol):
     def ready(self) -> None:
         """The device is there and set up, though no sample has come yet (the first sample says the same)."""
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         """Wait for a word that a person types for this source while the graph runs; None if none comes."""
 
     def identify(self, device: str, **facts: str | float) -> None:
@@ -143,5 +143,5 @@ class Source:
                 return device
         return None
 
-    def fresh(self) -> Self:
+    def unopened(self) -> Self:
         return replace(self)  # type: ignore[type-var]

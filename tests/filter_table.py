@@ -28,7 +28,7 @@ def table() -> str:
 
 def _row(name: str, part: type[Operator[Any]]) -> str:
     said = " ".join((part.__doc__ or "").split("\n\n")[0].split())
-    cells = (f"`{name}`", re.split(r"\.(?= [A-Z]|$)", said)[0], _parameters(part), part.delays, part.agrees)
+    cells = (f"`{name}`", re.split(r"\.(?= [A-Z]|$)", said)[0], _parameters(part), part.delays, part.references)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
 
 

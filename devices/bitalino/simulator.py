@@ -50,7 +50,7 @@ class BitalinoModel:
         self._began: float | None = None
         self._said = self._zero = 0
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         return b"".join(self._obey(command) for command in data)
 
     def say(self, seconds: float) -> list[bytes]:

@@ -14,7 +14,7 @@ from kinegraph.devices.bitalino.protocol import GAINS, BitalinoDecoder, Bitalino
 from kinegraph.devices.clocks.device_clock import ClockState
 from kinegraph.devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from kinegraph.devices.clocks.short_counter import ShortCounter
-from kinegraph.devices.clocks.stamps import chunks, tell_losses, tell_problems
+from kinegraph.devices.clocks.stamps import chunks, report_losses, report_problems
 from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
 from kinegraph.devices.transport.handshake import answer, quiet, shown, silence
 from kinegraph.devices.transport.serial_source import SerialSource
@@ -145,7 +145,7 @@ class BitalinoReading:
 
     def take(self, data: bytes, feed: Feed) -> int:
         frames = self._decoder.feed(data)
-        tell_problems(feed, bytes_that_are_no_frame=frames.dropped, resync=frames.resyncs)
+        report_problems(feed, bytes_that_are_no_frame=frames.dropped, resync=frames.resyncs)
         if len(frames):
             self._emit(frames, feed)
         return len(frames)
@@ -153,7 +153,7 @@ class BitalinoReading:
     def _emit(self, frames: BitalinoFrames, feed: Feed) -> None:
         arrival = feed.now()
         packets = self._counter.take(frames.sequence, arrival)
-        missing = tell_losses(packets, feed, "lost frame", "counter reset")
+        missing = report_losses(packets, feed, "lost frame", "counter reset")
         if hz := self._rate.see(len(packets.stamp), missing, arrival, feed):
             self._counter.follow(hz)
         analog = (frames.counts / self._full - self._zero) * self._scale

@@ -113,13 +113,13 @@ class SimulatedClient(BaseBleakClient):
                 self._leave()
                 return
             said = here.peripheral.say(here.seconds)
-            if not here.mishaps.stalled(here.seconds):
+            if not here.injector.stalled(here.seconds):
                 self._pass(said)
 
     def _pass(self, said: list[tuple[str, bytes]]) -> None:
         for name, data in said:
             cut = data[: self._here.mtu - 3]
-            for one in self._here.mishaps.spoil([cut], self._here.seconds):
+            for one in self._here.injector.spoil([cut], self._here.seconds):
                 if handler := self._listening.get(uuid(name)):
                     handler(bytearray(one))
 
@@ -136,7 +136,7 @@ class SimulatedClient(BaseBleakClient):
     async def write_gatt_char(self, characteristic: Any, data: Any, response: bool) -> None:
         if self._task is None:
             raise BleakError("not connected")
-        said = self._here.peripheral.hear(characteristic.uuid, bytes(data))
+        said = self._here.peripheral.receive(characteristic.uuid, bytes(data))
         asyncio.get_running_loop().call_soon(self._answer, said)
 
     def _answer(self, said: list[tuple[str, bytes]]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
-from kinegraph.devices.simulation.fault_injection import Misbehaviour, Mishaps
+from kinegraph.devices.simulation.fault_injection import FaultInjection, FaultInjector
 
 
 class Peripheral(Protocol):
@@ -25,7 +25,7 @@ class Peripheral(Protocol):
     def hold(self, characteristic: str) -> bytes:
         """What a characteristic that is read holds."""
 
-    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+    def receive(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
         """Something was written; what is notified or indicated for it."""
 
     def say(self, seconds: float) -> list[tuple[str, bytes]]:
@@ -35,9 +35,9 @@ class Peripheral(Protocol):
 class PeripheralInReach:
     """A peripheral, its address, and whether it can be reached."""
 
-    def __init__(self, peripheral: Peripheral, address: str, mtu: int, misbehaviour: Misbehaviour) -> None:
+    def __init__(self, peripheral: Peripheral, address: str, mtu: int, faults: FaultInjection) -> None:
         self.peripheral, self.address, self.mtu = peripheral, address, mtu
-        self.mishaps, self.began = Mishaps(misbehaviour), time.monotonic()
+        self.injector, self.began = FaultInjector(faults), time.monotonic()
         self.in_reach = True
 
     @property
@@ -46,4 +46,4 @@ class PeripheralInReach:
 
     @property
     def reachable(self) -> bool:
-        return self.in_reach and not self.mishaps.unplugged(self.seconds)
+        return self.in_reach and not self.injector.unplugged(self.seconds)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from kinegraph.devices.ble.simulated_peripheral import Peripheral, PeripheralInReach
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.transport import ble_radio as real_radio
 
 
@@ -19,8 +19,8 @@ class SimulatedRadio:
 
         self.client, self.scanner = bound(self.around)
 
-    def put(self, peripheral: Peripheral, *, mtu: int = 247, misbehaviour: Misbehaviour = GOOD) -> PeripheralInReach:
-        here = PeripheralInReach(peripheral, f"C0:FF:EE:00:00:{len(self.around):02X}", mtu, misbehaviour)
+    def put(self, peripheral: Peripheral, *, mtu: int = 247, faults: FaultInjection = GOOD) -> PeripheralInReach:
+        here = PeripheralInReach(peripheral, f"C0:FF:EE:00:00:{len(self.around):02X}", mtu, faults)
         self.around.append(here)
         return here
 
@@ -37,7 +37,7 @@ def radio() -> Iterator[SimulatedRadio]:
 
 
 @contextmanager
-def in_reach(peripheral: Peripheral, misbehaviour: Misbehaviour = GOOD) -> Iterator[PeripheralInReach]:
+def in_reach(peripheral: Peripheral, faults: FaultInjection = GOOD) -> Iterator[PeripheralInReach]:
     """A radio with one peripheral in its reach."""
     with radio() as air:
-        yield air.put(peripheral, misbehaviour=misbehaviour)
+        yield air.put(peripheral, faults=faults)

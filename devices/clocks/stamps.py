@@ -306,7 +306,7 @@ def chunks(stamp: Times, lost: Times, data: Array) -> Iterator[Chunk]:
             yield Chunk(stamp[a:b], data[a:b], int(stamp[b - 1]), int(lost[a]))
 
 
-def tell_losses(packets: Packets, feed: Feed, missing: str, restart: str) -> int:
+def report_losses(packets: Packets, feed: Feed, missing: str, restart: str) -> int:
     """Count the records that are missing, and restarts, as problems of these names; returns how many are missing."""
     if packets.clean or not packets.lost.any():
         return 0
@@ -318,7 +318,7 @@ def tell_losses(packets: Packets, feed: Feed, missing: str, restart: str) -> int
     return count
 
 
-def tell_problems(feed: Feed, **counts: int) -> None:
+def report_problems(feed: Feed, **counts: int) -> None:
     """Count problems (bad_checksum=3); those that did not happen are left out."""
     for kind, count in counts.items():
         if count:

@@ -7,7 +7,7 @@ from pathlib import Path as File
 from typing import TYPE_CHECKING
 
 from kinegraph.devices.commands import import_arguments as argument
-from kinegraph.devices.commands.import_options import pairs, value, wishes_of
+from kinegraph.devices.commands.import_options import options_of, pairs, value
 from kinegraph.devices.formats.importer import read_files
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.text.safe_text import say
@@ -15,7 +15,7 @@ from kinegraph.stream.text.safe_text import say
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from kinegraph.devices.formats.column_table import Wishes
+    from kinegraph.devices.formats.column_table import ImportOptions
     from kinegraph.stream.recording.series import Series
 
 
@@ -58,7 +58,7 @@ def import_(
     logs.set_up()
     said = {"stream": stream, "events": events, "time": time, "time_unit": time_unit, "rate": rate, "counter": counter,
             "names": names, "unit": unit, "scale": scale, "meta": meta}  # fmt: skip
-    wishes = wishes_of(said, start, repeated=repeated, text_width=text_width, dejitter=dejitter, clock_sync=clock_sync,
+    options = options_of(said, start, repeated=repeated, text_width=text_width, dejitter=dejitter, clock_sync=clock_sync,
                        skip_rows=skip_rows, preview=preview, untried=untried)  # fmt: skip
     facts = {key: value(text) for key, text in pairs("fact", fact, named=True).items()}
     if output is None and not preview:
@@ -67,21 +67,21 @@ def import_(
         )
     if output is not None and output.suffix != ".mcap":
         raise RecordingError(f"--out {output}: the recording's name must end in .mcap")
-    series = read_files(files, wishes, kinect=kinect)
+    series = read_files(files, options, kinect=kinect)
     _check_names(series)
     _declare_axes(series, pairs("up", up), pairs("forward", forward))
     if preview or output is None:
         from kinegraph.devices.commands.preview import show
 
-        show(series, wishes.findings)
+        show(series, options.findings)
     else:
-        _write(files, series, wishes, facts, output, chunk_ms / 1000, overwrite=overwrite)
+        _write(files, series, options, facts, output, chunk_ms / 1000, overwrite=overwrite)
 
 
 def _write(
     files: Sequence[File],
     series: Sequence[Series],
-    wishes: Wishes,
+    options: ImportOptions,
     facts: dict[str, str | int | float],
     output: File,
     chunk_s: float,
@@ -94,11 +94,11 @@ def _write(
 
     if not any(len(one.time) for one in series):
         raise RecordingError(f"{', '.join(map(str, files))}: there are no samples to record")
-    doubts = wishes.findings.doubts
+    doubts = options.findings.doubts
     imported = {"files": [file.name for file in files], "at": datetime.now(UTC).isoformat(timespec="seconds")}
     header = {
         "graph": "",
-        "session": {**wishes.findings.facts, **facts},
+        "session": {**options.findings.facts, **facts},
         "imported": {**imported, **({"doubts": doubts} if doubts else {})},
         "versions": versions(),
     }

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 from kinegraph.stream.errors import RecordingError
 
 if TYPE_CHECKING:
-    from kinegraph.devices.formats.column_table import Wishes
+    from kinegraph.devices.formats.column_table import ImportOptions
 
 Many = list[str] | None
 
 
-def wishes_of(said: Mapping[str, Many], start: str, **flags: Any) -> Wishes:
-    """The wishes from every option's texts, when time 0 was, and flags as they are. Raises RecordingError that names the option."""
-    from kinegraph.devices.formats.column_table import Wishes
+def options_of(said: Mapping[str, Many], start: str, **flags: Any) -> ImportOptions:
+    """The options from every option's texts, when time 0 was, and flags as they are. Raises RecordingError that names the option."""
+    from kinegraph.devices.formats.column_table import ImportOptions
 
-    return Wishes(
+    return ImportOptions(
         streams={name: list_of(text) for name, text in pairs("stream", said["stream"], named=True).items()},
         events=pairs("events", said["events"], named=True),
         meta=_meta(said["meta"]),

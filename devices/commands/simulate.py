@@ -37,20 +37,20 @@ def simulate(
     device (a counter started again where there is none) is refused.
     """
     from kinegraph.devices.simulation.catalogue import find, named
-    from kinegraph.devices.simulation.fault_injection import Misbehaviour
+    from kinegraph.devices.simulation.fault_injection import FaultInjection
     from kinegraph.stream.params import build
 
     if not name:
         _list(named())
         return
     kind = find(name)
-    own, mishaps = _split(_read(settings or []), kind, Misbehaviour)
+    own, faults = _split(_read(settings or []), kind, FaultInjection)
     try:
-        device, misbehaviour = build(kind, own), build(Misbehaviour, mishaps)
-        device.check(misbehaviour)
+        device, injection = build(kind, own), build(FaultInjection, faults)
+        device.check(injection)
     except ParameterError as error:
         raise KinegraphError(f"{name}: {error}") from None
-    with _interruptible(), device.serving(misbehaviour, at) as address:
+    with _interruptible(), device.serving(injection, at) as address:
         say(address, flush=True)
         say(f"a simulated {name} is there until Ctrl-C", err=True)
         threading.Event().wait(duration_s or None)
@@ -86,10 +86,10 @@ def _read(settings: list[str]) -> dict[str, Any]:
     return found
 
 
-def _split(given: dict[str, Any], kind: type[Simulator], mishap: type[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What is the device's and what is its misbehaviour's; `seed` is both's."""
+def _split(given: dict[str, Any], kind: type[Simulator], injection: type[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What is the device's and what of its fault injection; `seed` is both's."""
     own = {f.name for f in fields(kind)}  # type: ignore[arg-type]
-    wrong = {f.name for f in fields(mishap)}
+    wrong = {f.name for f in fields(injection)}
     for name in given:
         if name not in own | wrong:
             raise KinegraphError(f"{kind.__name__} has no parameter {name!r}; {nearest(name, own | wrong)}")

@@ -11,56 +11,56 @@ from kinegraph.devices.formats.importer import Importer
 from kinegraph.stream.errors import RecordingError
 
 if TYPE_CHECKING:
-    from kinegraph.devices.formats.column_table import ColumnTable, Wishes
+    from kinegraph.devices.formats.column_table import ColumnTable, ImportOptions
     from kinegraph.stream.recording.series import Series
 
 TIMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us", "time_ns")
 """Column names that are taken for the time where nothing is said."""
 
 
-def _motion(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
+def _motion(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
     from kinegraph.devices.conversion.motion_import import read_motion
 
-    return read_motion(files, wishes, alone=last)
+    return read_motion(files, options, alone=last)
 
 
-def _mesh(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
+def _mesh(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
     from kinegraph.devices.formats.gltf.obj_reader import read_obj
 
     try:
-        rate = float(said) if (said := wishes.rate.get("")) else None
-        scale = float(wishes.scale.get("", 1.0))
+        rate = float(said) if (said := options.rate.get("")) else None
+        scale = float(options.scale.get("", 1.0))
     except ValueError:
         raise RecordingError(
             "--rate and --scale of a mesh are numbers: frames per second, and metres per unit"
         ) from None
     if (rate is not None and not 0.0 < rate < inf) or not 0.0 < scale < inf:
         raise RecordingError("--rate and --scale of a mesh must be positive")
-    return read_obj(files, rate, scale, wishes.start_ns), wishes
+    return read_obj(files, rate, scale, options.start_ns), options
 
 
-def _xdf(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
+def _xdf(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
     from kinegraph.devices.formats.xdf.reader import read_xdf
 
-    chosen = {name: ",".join(parts) for name, parts in wishes.streams.items()} if last else {}
+    chosen = {name: ",".join(parts) for name, parts in options.streams.items()} if last else {}
     series: list[Series] = []
     for file in files:
         made = read_xdf(
             file,
             streams=chosen,
-            text_width=wishes.text_width,
-            start_ns=wishes.begin,
-            dejitter=wishes.dejitter,
-            synchronize=wishes.clock_sync,
+            text_width=options.text_width,
+            start_ns=options.begin,
+            dejitter=options.dejitter,
+            synchronize=options.clock_sync,
         )
         for one in made:
-            if facts := wishes.meta.get(one.name):
+            if facts := options.meta.get(one.name):
                 one.spec = one.spec.derive(meta={**one.spec.meta, **facts})
         series += made
-    return series, wishes
+    return series, options
 
 
-def _tables(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
+def _tables(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
     from kinegraph.devices.formats.column_table import ColumnTable, make
     from kinegraph.stream.data.bounded import reading
     from kinegraph.stream.data.tables import read_csv, read_npz
@@ -73,25 +73,27 @@ def _tables(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Ser
             table.put(file, read_npz(file))
         else:
             with reading(file, "CSV"):
-                table.put(file, read_csv(file, wishes.skip_rows))
-    if not wishes.streams and not wishes.events:
-        _by_default(files, table, wishes)
-    return make(table, wishes), wishes
+                table.put(file, read_csv(file, options.skip_rows))
+    if not options.streams and not options.events:
+        _by_default(files, table, options)
+    return make(table, options), options
 
 
-def _by_default(files: Sequence[Path], table: ColumnTable, wishes: Wishes) -> None:
+def _by_default(files: Sequence[Path], table: ColumnTable, options: ImportOptions) -> None:
     """One stream for each CSV file, named like it, of all columns but the time."""
     for file in files:
         mine = [n for n in table.columns if n.startswith(f"{file.stem}:")]
         if file.suffix.lower() == ".npz":
             listed = ", ".join(f"{n.partition(':')[2]} {table.columns[n].data.shape}" for n in mine)
             raise RecordingError(f"{file}: say which arrays are streams, with --stream NAME=ARRAY; there are {listed}")
-        time = wishes.of(wishes.time, file.stem) or next((n for n in mine if n.partition(":")[2].lower() in TIMES), "")
-        if time and not wishes.of(wishes.time, file.stem):
-            wishes.time[file.stem] = time
+        time = options.of(options.time, file.stem) or next(
+            (n for n in mine if n.partition(":")[2].lower() in TIMES), ""
+        )
+        if time and not options.of(options.time, file.stem):
+            options.time[file.stem] = time
         taken = {time, f"{file.stem}:{time}", f"{file.stem}:lost"}
-        wishes.streams[file.stem] = [
-            n for n in mine if n not in taken and n.partition(":")[2] not in wishes.counter.values()
+        options.streams[file.stem] = [
+            n for n in mine if n not in taken and n.partition(":")[2] not in options.counter.values()
         ]
 
 

@@ -11,14 +11,14 @@ from kinegraph.devices.formats.importer import Importer
 from kinegraph.stream.errors import RecordingError
 
 if TYPE_CHECKING:
-    from kinegraph.devices.formats.column_table import Wishes
+    from kinegraph.devices.formats.column_table import ImportOptions
     from kinegraph.stream.recording.series import Series
 
 
-def _through(made: Any) -> tuple[list[Series], Wishes]:
+def _through(made: Any) -> tuple[list[Series], ImportOptions]:
     """What a reader that is known by its name only gives."""
-    series, wishes = made
-    return series, wishes
+    series, options = made
+    return series, options
 
 
 def _of(module: str) -> Any:
@@ -42,8 +42,8 @@ def _grammar(
         text = _of("text_lines").decoded(head)
         return "\0" not in text[:200] and bool(getattr(_of(module), knows)(text.lstrip("\ufeff")))
 
-    def read_all(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
-        return _through(_of("reading").reader(kind or what, getattr(_of(module), read))(files, wishes, last))
+    def read_all(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
+        return _through(_of("reading").reader(kind or what, getattr(_of(module), read))(files, options, last))
 
     return Importer(what, suffixes, read_all, order=30, claims=claims, untried=untried)
 
@@ -52,28 +52,28 @@ def _is_edf(path: Path, head: bytes) -> bool:
     return bool(_of("edf.reader").knows(head))
 
 
-def _edf(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
+def _edf(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
     def read(path: Path, asked: Any) -> Any:
         made = _of("edf.reader").read_edf(path, asked)
         _of("bids").correct_units(made, path)
         return made
 
-    return _through(_of("reading").reader("an EDF or BDF file", read)(files, wishes, last))
+    return _through(_of("reading").reader("an EDF or BDF file", read)(files, options, last))
 
 
 def _is_bids_motion(path: Path, head: bytes) -> bool:
     return bool(_of("bids").is_motion(path))
 
 
-def _bids_motion(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
-    return _through(_of("reading").reader("a BIDS table of motion", _of("bids").read_motion)(files, wishes, last))
+def _bids_motion(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
+    return _through(_of("reading").reader("a BIDS table of motion", _of("bids").read_motion)(files, options, last))
 
 
 def _is_matlab(path: Path, head: bytes) -> bool:
     return bool(_of("matlab").knows(head))
 
 
-def _matlab(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
+def _matlab(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
     """Arrays that are streams as somebody says; without a word every matrix that is long enough, if the file tells its rate."""
     from kinegraph.devices.formats.column_table import ColumnTable, make
     from kinegraph.stream.data.bounded import reading
@@ -86,10 +86,10 @@ def _matlab(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Ser
         with reading(file, "a MATLAB file"):
             arrays = _of("matlab").read_arrays(file)
         table.put(file, {name: FileColumn(array, file) for name, array in arrays.items()})
-        wishes.findings.kinds[file] = "MATLAB arrays: " + ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
-        if not wishes.streams and not wishes.events:
-            _by_default(file, arrays, wishes)
-    return make(table, wishes), wishes
+        options.findings.kinds[file] = "MATLAB arrays: " + ", ".join(f"{n} {a.shape}" for n, a in arrays.items())
+        if not options.streams and not options.events:
+            _by_default(file, arrays, options)
+    return make(table, options), options
 
 
 def _untimed(file: Path, name: str, stream: str) -> str:
@@ -100,7 +100,7 @@ LEAST_SAMPLES = 16
 """A shorter array is taken for something else than a signal."""
 
 
-def _by_default(file: Path, arrays: dict[str, Any], wishes: Wishes) -> None:
+def _by_default(file: Path, arrays: dict[str, Any], options: ImportOptions) -> None:
     """Every matrix of numbers with more than a few rows; a vector of that length called time, or the file's rate, says when."""
     long = {name: a for name, a in arrays.items() if a.dtype.kind in "iuf" and a.ndim <= 3 and len(a) >= LEAST_SAMPLES}
     times = {
@@ -108,25 +108,25 @@ def _by_default(file: Path, arrays: dict[str, Any], wishes: Wishes) -> None:
         for name, a in long.items()
         if a.ndim == 1 and name.rpartition(".")[2].lower() in ("t", "time", "times", "t_s")
     }
-    said = bool(wishes.of(wishes.rate, "") or wishes.of(wishes.time, ""))
+    said = bool(options.of(options.rate, "") or options.of(options.time, ""))
     for name in sorted(long.keys() - times):
         rate = _of("matlab").rate_of(arrays, name)
         told = said or bool(rate)
         stream = f"{file.stem}.{name.rpartition('.')[2]}"
-        stream = f"{file.stem}.{name.replace('.', '_')}" if stream in wishes.streams else stream
+        stream = f"{file.stem}.{name.replace('.', '_')}" if stream in options.streams else stream
         time = next((t for t in times if len(long[t]) == len(long[name])), "")
-        if not (time or told or stream in wishes.rate or wishes.preview):
+        if not (time or told or stream in options.rate or options.preview):
             raise RecordingError(
                 f"{file}: {name!r} {long[name].shape} has no times, and the file no rate; give --rate {stream}=HZ"
             )
-        wishes.streams[stream] = [f"{file.stem}:{name}"]
-        if time and stream not in wishes.rate:
-            wishes.time[stream] = f"{file.stem}:{time}"
-        elif stream not in wishes.rate and not wishes.rate.get(""):
-            wishes.rate[stream] = str(rate or 1.0)
+        options.streams[stream] = [f"{file.stem}:{name}"]
+        if time and stream not in options.rate:
+            options.time[stream] = f"{file.stem}:{time}"
+        elif stream not in options.rate and not options.rate.get(""):
+            options.rate[stream] = str(rate or 1.0)
             if not rate:
-                wishes.findings.doubts.append(_untimed(file, name, stream))
-    if not wishes.streams:
+                options.findings.doubts.append(_untimed(file, name, stream))
+    if not options.streams:
         listed = ", ".join(f"{name} {a.shape}" for name, a in arrays.items())
         raise RecordingError(
             f"{file}: there is no matrix of {LEAST_SAMPLES} samples or more in it; it holds {listed or 'nothing'}"

@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.devices.formats.asf.reader import Skeleton, read_amc, read_asf
 from kinegraph.devices.formats.bvh.reader import read_bvh
 from kinegraph.devices.formats.c3d.reader import read_c3d
-from kinegraph.devices.formats.column_table import Wishes, positive
+from kinegraph.devices.formats.column_table import ImportOptions, positive
 from kinegraph.devices.formats.table.kinect import read_kinect
 from kinegraph.stream.data.bounded import reading
 from kinegraph.stream.errors import RecordingError, nearest
@@ -27,48 +27,52 @@ TAKES = {".bvh": ("unit", "scale"), ".c3d": (), ".amc": ("rate",), ".asf": ()}
 TABLE = ("rate", "unit", "scale")
 
 
-def read_motion(files: Sequence[Path], wishes: Wishes, *, alone: bool = True) -> tuple[list[Series], Wishes]:
+def read_motion(
+    files: Sequence[Path], options: ImportOptions, *, alone: bool = True
+) -> tuple[list[Series], ImportOptions]:
     """The streams of BVH, C3D, AMC and Kinect files, called after their files or as `--stream NAME=STREAM` names those that are chosen;
     and what was wished of other files, which there are unless these are `alone`. Raises RecordingError.
     """
     skeletons = {file.stem: read_asf(file) for file in files if kind_of(file) == ".asf"}
     made: list[Series] = []
     for file in files:
-        made += _read(file, skeletons, wishes)
+        made += _read(file, skeletons, options)
     if skeletons and not any(kind_of(file) == ".amc" for file in files):
         raise RecordingError(
             f"{next(iter(skeletons.values())).path}: a skeleton alone does not move; name its AMC files too"
         )
     known = [one.name for one in made]
-    chosen = {name: parts[0] for name, parts in wishes.streams.items() if parts and parts[0] in known}
-    rest = _rest(files, wishes, chosen, known)
+    chosen = {name: parts[0] for name, parts in options.streams.items() if parts and parts[0] in known}
+    rest = _rest(files, options, chosen, known)
     if alone:
         _nothing_left(rest, known, {kind_of(file) for file in files})
     for one in made:
         names = (one.name, *(new for new, old in chosen.items() if old == one.name))
-        facts = {key: value for name in names for key, value in wishes.meta.get(name, {}).items()}
+        facts = {key: value for name in names for key, value in options.meta.get(name, {}).items()}
         one.spec = one.spec.derive(meta={**one.spec.meta, **facts}) if facts else one.spec
     by_name = {one.name: one for one in made}
     return [replace(by_name[old], name=new) for new, old in chosen.items()] if chosen else made, rest
 
 
-def _rest(files: Sequence[Path], wishes: Wishes, chosen: Mapping[str, str], known: Sequence[str]) -> Wishes:
+def _rest(
+    files: Sequence[Path], options: ImportOptions, chosen: Mapping[str, str], known: Sequence[str]
+) -> ImportOptions:
     """What is said of other files than these. Raises RecordingError where something is said of one that says it itself."""
     left: dict[str, Any] = {}
     for option in OPTIONS:
-        given = getattr(wishes, option)
+        given = getattr(options, option)
         for file in files:
-            for name in _names(given, file, wishes):
+            for name in _names(given, file, options):
                 if option not in TAKES.get(kind_of(file), TABLE):
                     raise RecordingError(f"{_option(option)} {name}=...: {file.name} says this itself; leave it out")
-        mine = {name for file in files for name in _names(given, file, wishes)}
+        mine = {name for file in files for name in _names(given, file, options)}
         left[option] = {name: value for name, value in given.items() if name not in mine}
-    left["meta"] = {name: facts for name, facts in wishes.meta.items() if name not in (*known, *chosen)}
-    left["streams"] = {name: parts for name, parts in wishes.streams.items() if name not in chosen}
-    return replace(wishes, **left)
+    left["meta"] = {name: facts for name, facts in options.meta.items() if name not in (*known, *chosen)}
+    left["streams"] = {name: parts for name, parts in options.streams.items() if name not in chosen}
+    return replace(options, **left)
 
 
-def _nothing_left(rest: Wishes, known: Sequence[str], kinds: Iterable[str]) -> None:
+def _nothing_left(rest: ImportOptions, known: Sequence[str], kinds: Iterable[str]) -> None:
     """Raises where something is said of a stream that no file holds, or that motion files say themselves."""
     for name, parts in rest.streams.items():
         what = ",".join(parts)
@@ -104,42 +108,42 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _names(given: Iterable[str], file: Path, wishes: Wishes) -> list[str]:
+def _names(given: Iterable[str], file: Path, options: ImportOptions) -> list[str]:
     """Those names that stand for a file, or for one of its streams, as the file calls it or as it shall be called."""
     found = []
     for name in given:
-        old = (wishes.streams.get(name) or [name])[0]
+        old = (options.streams.get(name) or [name])[0]
         if old == file.stem or old.startswith(f"{file.stem}."):
             found.append(name)
     return found
 
 
-def _said(option: Mapping[str, str], file: Path, wishes: Wishes) -> str:
-    return next((option[name] for name in _names(option, file, wishes)), option.get("", ""))
+def _said(option: Mapping[str, str], file: Path, options: ImportOptions) -> str:
+    return next((option[name] for name in _names(option, file, options)), option.get("", ""))
 
 
-def _read(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list[Series]:
+def _read(file: Path, skeletons: dict[str, Skeleton], options: ImportOptions) -> list[Series]:
     with reading(file, f"a file of motion ({file.suffix.lower()})"), np.errstate(all="ignore"):
-        return _of_kind(file, skeletons, wishes)
+        return _of_kind(file, skeletons, options)
 
 
-def _of_kind(file: Path, skeletons: dict[str, Skeleton], wishes: Wishes) -> list[Series]:
-    kind, unit = kind_of(file), _said(wishes.unit, file, wishes)
-    wishes.findings.kinds[file] = {".bvh": "BVH", ".asf": "ASF skeleton", ".amc": "AMC"}.get(
+def _of_kind(file: Path, skeletons: dict[str, Skeleton], options: ImportOptions) -> list[Series]:
+    kind, unit = kind_of(file), _said(options.unit, file, options)
+    options.findings.kinds[file] = {".bvh": "BVH", ".asf": "ASF skeleton", ".amc": "AMC"}.get(
         kind, "table of a skeleton's joints"
     )
-    scale = positive(_said(wishes.scale, file, wishes) or "1", f"--scale {file.stem}")
+    scale = positive(_said(options.scale, file, options) or "1", f"--scale {file.stem}")
     if kind == ".asf":
         return []
     if kind == ".bvh":
-        return read_bvh(file, unit, scale, wishes.start_ns)
+        return read_bvh(file, unit, scale, options.start_ns)
     if kind == ".c3d":
-        return read_c3d(file, wishes.start_ns, wishes.findings)
-    said = _said(wishes.rate, file, wishes)
+        return read_c3d(file, options.start_ns, options.findings)
+    said = _said(options.rate, file, options)
     rate = positive(said or str(RATE_HZ), f"--rate {file.stem}")
     if kind == ".amc":
-        return read_amc(file, _skeleton_of(file, skeletons), rate, wishes.start_ns)
-    return read_kinect(file, unit, scale, wishes.start_ns, rate if said else None)
+        return read_amc(file, _skeleton_of(file, skeletons), rate, options.start_ns)
+    return read_kinect(file, unit, scale, options.start_ns, rate if said else None)
 
 
 def _skeleton_of(file: Path, skeletons: dict[str, Skeleton]) -> Skeleton:

@@ -75,7 +75,7 @@ class CytonModel:
         self._pending = b""
         self._streaming = False
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         answers = b""
         data, self._pending = self._pending + data, b""
         while data:

@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.devices.clocks.device_clock import ClockState
 from kinegraph.devices.clocks.packet_clock import PacketClock, Packets
 from kinegraph.devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from kinegraph.devices.clocks.stamps import chunks, tell_losses, tell_problems
+from kinegraph.devices.clocks.stamps import chunks, report_losses, report_problems
 from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
 from kinegraph.devices.cyton import protocol as protocol
 from kinegraph.devices.cyton.protocol import PACKETS_HZ, ChannelSetting, CytonDecoder, CytonFrames
@@ -241,7 +241,7 @@ class CytonReading:
         if len(frames):
             self._emit(frames, feed)
         if frames.dropped or frames.resyncs:
-            tell_problems(feed, bytes_that_are_no_packet=frames.dropped, resync=frames.resyncs)
+            report_problems(feed, bytes_that_are_no_packet=frames.dropped, resync=frames.resyncs)
         return len(frames)
 
     def _emit(self, frames: CytonFrames, feed: Feed) -> None:
@@ -254,7 +254,7 @@ class CytonReading:
             feed.problem("repeated packet", repeated)
         if not n:
             return
-        missing = 0 if packets.clean else tell_losses(packets, feed, "lost packet", "counter reset")
+        missing = 0 if packets.clean else report_losses(packets, feed, "lost packet", "counter reset")
         if hz := self._rate.see(n, missing, arrival, feed):
             self._clock.follow(hz)
         self._emg(packets, frames.counts[packets.kept] if repeated else frames.counts, feed)

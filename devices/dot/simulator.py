@@ -37,7 +37,7 @@ class DotSensor:
     def hold(self, characteristic: str) -> bytes:
         return b""
 
-    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+    def receive(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
         if characteristic == protocol.DEVICE_CONTROL and data[0] & protocol.RATE_BIT:
             self._rate = int.from_bytes(data[protocol.RATE_AT : protocol.RATE_AT + 2], "little")
         elif characteristic == protocol.CONTROL and data[0] == protocol.MEASUREMENT:

@@ -20,13 +20,13 @@ KINDS: Mapping[str, tuple[int, float, str]] = {"speed": (ftms.SPEED, 3.6, "m/s")
 
 
 @dataclass(slots=True)
-class TreadmillWishes:
+class TreadmillCommand:
     """The last speed and incline that were asked for (2,)."""
 
     last: Samples = field(default_factory=lambda: np.full(2, np.nan))
 
 
-class TreadmillWay:
+class TreadmillConnection:
     """The way to the source; None while nothing is set (a replay)."""
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class TreadmillWay:
 
 
 @dataclass(frozen=True, slots=True)
-class TreadmillControl(Outlet[TreadmillWishes, TreadmillWay]):
+class TreadmillControl(Outlet[TreadmillCommand, TreadmillConnection]):
     """Sets the treadmill that `devices.fitness_treadmill.FtmsTreadmill` with the same `device` and `control: true` is connected to.
 
     speed     a signal of one channel, m/s
@@ -60,7 +60,7 @@ class TreadmillControl(Outlet[TreadmillWishes, TreadmillWay]):
                 or spec.unit_of(spec.channels[0] if spec.channels else "") not in ("", unit)
             ):
                 raise InputError(port, spec.describe(), f"a signal of one channel in {unit}")
-        self.hold(TreadmillWishes(), TreadmillWay())
+        self.set_state(TreadmillCommand(), TreadmillConnection())
         return {}
 
     def begin(self) -> None:

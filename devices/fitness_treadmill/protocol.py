@@ -25,7 +25,7 @@ _PARTS: tuple[tuple[int, str, tuple[tuple[str, int, bool, float], ...]], ...] = 
 )
 
 
-class TreadmillSaid(NamedTuple):
+class TreadmillData(NamedTuple):
     """By name, what a notification holds: speed (km/h), incline (%), ramp_angle (deg), distance (m), elapsed (s), force (N), ...
 
     more    a notification that holds no speed: the rest follows in another one
@@ -35,7 +35,7 @@ class TreadmillSaid(NamedTuple):
     more: bool
 
 
-def parse(data: bytes, pace_bytes: int = 1) -> TreadmillSaid | None:
+def parse(data: bytes, pace_bytes: int = 1) -> TreadmillData | None:
     """A treadmill's notification (2ACD); None for one that is cut off.
 
     pace_bytes   the width of a pace, which sources do not agree on: 1 in pyftms, 2 in the SIG's own text; rarely sent
@@ -64,7 +64,7 @@ def parse(data: bytes, pace_bytes: int = 1) -> TreadmillSaid | None:
                 return None
             values[name] = int.from_bytes(data[at : at + size], "little", signed=signed) * factor
             at += size
-    return TreadmillSaid(values, bool(flags & 1))
+    return TreadmillData(values, bool(flags & 1))
 
 
 def build(speed: float, incline: float, distance: float, elapsed: float) -> bytes:

@@ -45,7 +45,7 @@ class FtmsBelt:
         }
         return next((held for name, held in known.items() if uuid(name) == characteristic), b"")
 
-    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+    def receive(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
         if characteristic != uuid(ftms.CONTROL) or not data:
             return []
         self.heard.append(data)

@@ -68,7 +68,7 @@ class ColumnTable:
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class ImportOptions:
     """What is said about the streams to be made; each mapping is by stream name, "" standing for every stream.
 
     streams    the columns or arrays of each signal; several one-dimensional ones become its channels
@@ -110,20 +110,20 @@ class Wishes:
         return what.get(stream, what.get("", ""))
 
 
-def make(shelf: ColumnTable, wishes: Wishes) -> list[Series]:
+def make(shelf: ColumnTable, options: ImportOptions) -> list[Series]:
     """The streams that were asked for. Raises RecordingError that names the option or the file's row."""
     for option in ("rate", "time", "time_unit", "counter", "names", "unit", "scale", "meta"):
-        for stream in getattr(wishes, option):
-            if stream and stream not in wishes.streams and stream not in wishes.events:
-                known = [*wishes.streams, *wishes.events]
+        for stream in getattr(options, option):
+            if stream and stream not in options.streams and stream not in options.events:
+                known = [*options.streams, *options.events]
                 raise RecordingError(
                     f"--{option.replace('_', '-')} {stream}=...: no such stream is made; {nearest(stream, known)}"
                 )
-    signals = [_signal(shelf, wishes, name, parts) for name, parts in wishes.streams.items()]
-    return [*signals, *(_events(shelf, wishes, name, array) for name, array in wishes.events.items())]
+    signals = [_signal(shelf, options, name, parts) for name, parts in options.streams.items()]
+    return [*signals, *(_events(shelf, options, name, array) for name, array in options.events.items())]
 
 
-def _signal(shelf: ColumnTable, wishes: Wishes, name: str, parts: Sequence[str]) -> Series:
+def _signal(shelf: ColumnTable, options: ImportOptions, name: str, parts: Sequence[str]) -> Series:
     if not parts:
         raise RecordingError(
             f"stream {name!r}: there is no column for it beside the time; name some with --stream {name}=COLUMNS"
@@ -131,21 +131,21 @@ def _signal(shelf: ColumnTable, wishes: Wishes, name: str, parts: Sequence[str])
     columns = [shelf.part(part, f"--stream {name}") for part in parts]
     first = columns[0]
     data = _joined(name, parts, columns)
-    channels = _channels(shelf, wishes, name, data, parts)
+    channels = _channels(shelf, options, name, data, parts)
     near = first.file if all(column.file == first.file for column in columns) else None
-    kept, time, rate, lost = _timing(shelf, wishes, name, near, len(data))
+    kept, time, rate, lost = _timing(shelf, options, name, near, len(data))
     data = data if len(kept) == len(data) else data[kept]
-    if scale := wishes.of(wishes.scale, name):
+    if scale := options.of(options.scale, name):
         data = data * _number(scale, f"--scale {name}")
     spec = StreamSpec(
         shape=data.shape[1:],
         dtype=data.dtype,
         rate_hz=rate,
         channels=channels,
-        units=_units(name, wishes.of(wishes.unit, name), [column.unit for column in columns], len(channels)),
-        meta=wishes.meta.get(name, {}),
+        units=_units(name, options.of(options.unit, name), [column.unit for column in columns], len(channels)),
+        meta=options.meta.get(name, {}),
     )
-    return Series(name, spec, time + wishes.start_ns, np.ascontiguousarray(data), lost)
+    return Series(name, spec, time + options.start_ns, np.ascontiguousarray(data), lost)
 
 
 def _units(name: str, said: str, found: list[str], channels: int) -> tuple[str, ...]:
@@ -176,14 +176,16 @@ def _joined(name: str, parts: Sequence[str], columns: list[FileColumn]) -> Array
     return np.stack(data, axis=1)
 
 
-def _channels(shelf: ColumnTable, wishes: Wishes, name: str, data: Array, parts: Sequence[str]) -> tuple[str, ...]:
-    given = wishes.of(wishes.names, name)
+def _channels(
+    shelf: ColumnTable, options: ImportOptions, name: str, data: Array, parts: Sequence[str]
+) -> tuple[str, ...]:
+    given = options.of(options.names, name)
     count = data.shape[1] if data.ndim > 1 else 1
     if not given:
         return tuple(part.rpartition(":")[2] for part in parts) if len(parts) == count else ()
     if given in shelf.columns:
         channels = tuple(str(n) for n in np.atleast_1d(shelf.columns[given].data))
-        if len(channels) != count and name not in wishes.names:
+        if len(channels) != count and name not in options.names:
             return ()
     else:
         channels = tuple(n.strip() for n in given.split(","))
@@ -195,21 +197,21 @@ def _channels(shelf: ColumnTable, wishes: Wishes, name: str, data: Array, parts:
 
 
 def _timing(
-    shelf: ColumnTable, wishes: Wishes, name: str, near: Path | None, n: int
+    shelf: ColumnTable, options: ImportOptions, name: str, near: Path | None, n: int
 ) -> tuple[Array, Times, float | None, Array | None]:
     """The rows that count, their stamps, rate, and lost samples, of a signal of `n` rows, whose columns are all of the file `near`."""
-    rate = _rate(shelf, wishes, name)
-    counter = wishes.of(wishes.counter, name)
+    rate = _rate(shelf, options, name)
+    counter = options.of(options.counter, name)
     kept, lost = np.arange(n), None
     if counter:
         found = shelf.part(counter, f"--counter {name}", near)
         _same_length(found.data, n, f"--counter {name}")
-        kept, lost, doubt = lost_by_counter(found.data, found.where, repeated=wishes.repeated)
+        kept, lost, doubt = lost_by_counter(found.data, found.where, repeated=options.repeated)
         if doubt:
-            wishes.findings.doubts.append(f"{found.file.name}: {doubt}")
-    named = wishes.of(wishes.time, name)
+            options.findings.doubts.append(f"{found.file.name}: {doubt}")
+    named = options.of(options.time, name)
     if named:
-        return kept, *_timed(shelf, wishes, name, named, near, n, rate, kept, lost)
+        return kept, *_timed(shelf, options, name, named, near, n, rate, kept, lost)
     if rate is None:
         raise RecordingError(
             f"stream {name!r}: when its samples were taken is not known; give --rate {name}=HZ or --time {name}=COLUMN"
@@ -224,7 +226,7 @@ def _timing(
 
 def _timed(
     shelf: ColumnTable,
-    wishes: Wishes,
+    options: ImportOptions,
     name: str,
     named: str,
     near: Path | None,
@@ -235,8 +237,8 @@ def _timed(
 ) -> tuple[Times, float | None, Array | None]:
     column = shelf.part(named, f"--time {name}", near)
     _same_length(column.data, n, f"--time {name}")
-    time = _times(wishes, name, named, column, rate)[kept]
-    check_order(time, column.where, column.row, repeated=wishes.repeated)
+    time = _times(options, name, named, column, rate)[kept]
+    check_order(time, column.where, column.row, repeated=options.repeated)
     found = regular(time, rate)
     if found is None:
         if rate is not None:
@@ -248,9 +250,9 @@ def _timed(
     return stamps, rate, lost if lost is not None else missing if missing.any() else None
 
 
-def _times(wishes: Wishes, name: str, named: str, column: FileColumn, rate: float | None) -> Times:
+def _times(options: ImportOptions, name: str, named: str, column: FileColumn, rate: float | None) -> Times:
     """A column of times in ns; with the unit "samples" it counts samples at the stream's rate."""
-    told = wishes.of(wishes.time_unit, name)
+    told = options.of(options.time_unit, name)
     unit = told or unit_in(named, column.unit)
     if unit == "samples":
         if rate is None:
@@ -276,8 +278,8 @@ def _times(wishes: Wishes, name: str, named: str, column: FileColumn, rate: floa
         raise RecordingError(f"{column.where} {column.row + row}: {named!r} holds no time") from None
 
 
-def _rate(shelf: ColumnTable, wishes: Wishes, name: str) -> float | None:
-    given = wishes.of(wishes.rate, name)
+def _rate(shelf: ColumnTable, options: ImportOptions, name: str) -> float | None:
+    given = options.of(options.rate, name)
     if not given:
         return None
     if given in shelf.columns and shelf.columns[given].data.size == 1:
@@ -303,20 +305,20 @@ def _same_length(data: Array, n: int, option: str) -> None:
         raise RecordingError(f"{option}: an array of shape {data.shape} for {n} samples; it must be of shape ({n},)")
 
 
-def _events(shelf: ColumnTable, wishes: Wishes, name: str, array: str) -> Series:
+def _events(shelf: ColumnTable, options: ImportOptions, name: str, array: str) -> Series:
     """Events at given times: one field, `onset`, in ns; they are stamped with it."""
     column = shelf.part(array, f"--events {name}")
     if column.data.ndim != 1:
         raise RecordingError(
             f"--events {name}: {array!r} has the shape {column.data.shape}; name one column of it, as {array}:0"
         )
-    time = _times(wishes, name, array, column, _rate(shelf, wishes, name))
-    check_order(time, column.where, column.row, repeated=wishes.repeated)
-    time = time + wishes.start_ns
+    time = _times(options, name, array, column, _rate(shelf, options, name))
+    check_order(time, column.where, column.row, repeated=options.repeated)
+    time = time + options.start_ns
     dtype = np.dtype([("onset", "<i8")])
     data = np.empty(len(time), dtype)
     data["onset"] = time
-    return Series(name, StreamSpec((), dtype, units=("ns",), meta=wishes.meta.get(name, {})), time, data)
+    return Series(name, StreamSpec((), dtype, units=("ns",), meta=options.meta.get(name, {})), time, data)
 
 
 def positive(text: str, option: str) -> float:

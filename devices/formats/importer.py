@@ -15,11 +15,11 @@ from kinegraph.devices.formats.installed import installed
 from kinegraph.stream.errors import RecordingError
 
 if TYPE_CHECKING:
-    from kinegraph.devices.formats.column_table import Wishes
+    from kinegraph.devices.formats.column_table import ImportOptions
     from kinegraph.stream.recording.series import Series
 
 GROUP = "kinegraph.importers"
-Reader: TypeAlias = "Callable[[Sequence[Path], Wishes, bool], tuple[list[Series], Wishes]]"
+Reader: TypeAlias = "Callable[[Sequence[Path], ImportOptions, bool], tuple[list[Series], ImportOptions]]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Importer:
     what      in words, for the help: "XDF"
     suffixes  what the names of such files end in: (".xdf", ".xdfz")
     read      takes all files of this kind, what is wished of streams, and whether no other importer follows; gives the streams, and the
-              wishes that concern other files. Raises RecordingError that names the file
+              options that concern other files. Raises RecordingError that names the file
     order     of several importers the lower is asked first; one that takes every wish for its own comes late
     claims    whether a file is of this kind by its content (its path, its first bytes), whatever its name ends in; None: by its name only
     untried   whether no file of a real program was at hand to try it on: such files are refused unless that is wished
@@ -94,7 +94,7 @@ def _suffixes(kinect: bool) -> dict[str, Importer]:
     return by_suffix
 
 
-def read_files(files: Sequence[Path], wishes: Wishes, *, kinect: bool = False) -> list[Series]:
+def read_files(files: Sequence[Path], options: ImportOptions, *, kinect: bool = False) -> list[Series]:
     """The streams of all files, each kind by its own importer; `kinect`: tables hold the joints of a skeleton. Raises RecordingError."""
     by_suffix = _suffixes(kinect)
     kinds: list[tuple[Importer, list[Path]]] = []
@@ -114,18 +114,18 @@ def read_files(files: Sequence[Path], wishes: Wishes, *, kinect: bool = False) -
     kinds.sort(key=lambda kind: kind[0].order)
     series: list[Series] = []
     for one, mine in kinds:
-        if one.untried and not wishes.untried:
+        if one.untried and not options.untried:
             raise RecordingError(
                 f"{mine[0]}: the reader of {one.what} files was only tried on files that we wrote ourselves, never on a real export; "
                 "--untried reads it all the same: compare what --preview shows with the program that wrote the file"
             )
         try:
-            made, wishes = one.read(mine, wishes, one is kinds[-1][0])
+            made, options = one.read(mine, options, one is kinds[-1][0])
         except RecordingError as error:
             if any(str(file) in str(error) for file in mine):
                 raise
             raise RecordingError(f"{', '.join(map(str, mine))}: {error}") from None
         for file in mine:
-            wishes.findings.kinds.setdefault(file, one.what)
+            options.findings.kinds.setdefault(file, one.what)
         series += made
     return series

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from kinegraph.devices.simulation.device_model import DeviceModel
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 
 
@@ -47,10 +47,10 @@ class DatagramServer(Server):
 
 
 @contextmanager
-def sending(brain: DeviceModel, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
+def sending(brain: DeviceModel, faults: FaultInjection = GOOD) -> Iterator[str]:
     """The address at which to listen for what a device sends."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    with DatagramServer(brain, UdpLine(port), misbehaviour) as server:
+    with DatagramServer(brain, UdpLine(port), faults) as server:
         yield server.address

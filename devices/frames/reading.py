@@ -10,7 +10,7 @@ from kinegraph.devices.clocks.counter_check import CounterCheck
 from kinegraph.devices.clocks.device_clock import ClockState
 from kinegraph.devices.clocks.packet_clock import Packets
 from kinegraph.devices.clocks.rate_check import Policy, RateCheck
-from kinegraph.devices.clocks.stamps import Losses, Stamps, chunks, tell_problems
+from kinegraph.devices.clocks.stamps import Losses, Stamps, chunks, report_problems
 from kinegraph.devices.clocks.timing import TIMING, chunks_of_one
 from kinegraph.devices.frames.declaration_check import DeclarationCheck
 from kinegraph.devices.frames.declared import Frame
@@ -105,7 +105,7 @@ class FrameReading:
         if self._check.open:
             self._check.judge(len(found.kinds), found.bad, found.spoilt, feed)
         if found.bad or found.dropped or found.resyncs:
-            tell_problems(feed, bad_checksum=found.bad, bytes_that_are_no_frame=found.dropped, resync=found.resyncs)
+            report_problems(feed, bad_checksum=found.bad, bytes_that_are_no_frame=found.dropped, resync=found.resyncs)
         return len(found.kinds)
 
     def _emit_one(self, kind: int, frame: bytes, feed: Feed) -> None:
@@ -129,7 +129,7 @@ class FrameReading:
             self._stamps[kind].follow(hz)
             self._times.follow(kind, hz)
         if made is None or missing:
-            tell_problems(feed, repeated_frame_or_wrong_time=1 - came, lost_frame=missing)
+            report_problems(feed, repeated_frame_or_wrong_time=1 - came, lost_frame=missing)
         if made is None:
             return
         record, event = chunks_of_one(made, arrival, layout.row(frame), self._last)
@@ -169,7 +169,7 @@ class FrameReading:
     def _emit(self, kind: int, table: Array, packets: Packets, missing: int, feed: Feed) -> None:
         left_out = len(table) - len(packets.stamp)
         if left_out or missing:
-            tell_problems(feed, repeated_frame_or_wrong_time=left_out, lost_frame=missing)
+            report_problems(feed, repeated_frame_or_wrong_time=left_out, lost_frame=missing)
         frame = self._layouts[kind].frame
         if self._layouts[kind].channels and len(packets.stamp):
             data = self._layouts[kind].values(table[packets.kept] if left_out else table)

@@ -18,7 +18,7 @@ from kinegraph.devices.frames.declared import NS_PER, Field, Frame
 from kinegraph.devices.frames.packet_decoder import escaped
 from kinegraph.devices.frames.source import Binary
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server, Simulator
 from kinegraph.devices.transport.bluetooth import parse
 from kinegraph.stream.chunk import NS
@@ -53,9 +53,9 @@ class SimulatedBinary(Simulator):
 
 
 @contextmanager
-def serving(brain: BinaryModel, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
+def serving(brain: BinaryModel, faults: FaultInjection = GOOD) -> Iterator[str]:
     """The address of a device with these frames."""
-    with Server(brain, line_at(name=SimulatedBinary.port_name), misbehaviour) as server:
+    with Server(brain, line_at(name=SimulatedBinary.port_name), faults) as server:
         yield server.address
 
 
@@ -73,7 +73,7 @@ class BinaryModel:
         self.heard = b""
         self.ahead_s = 0.0
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         self.heard += data
         return b""
 
@@ -149,8 +149,8 @@ class NotifyingModel:
     def hold(self, characteristic: str) -> bytes:
         return b""
 
-    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
-        self._model.hear(data)
+    def receive(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+        self._model.receive(data)
         return []
 
     def say(self, seconds: float) -> list[tuple[str, bytes]]:
@@ -158,10 +158,10 @@ class NotifyingModel:
 
 
 def notifying(
-    source: Binary, model: BinaryModel, misbehaviour: Misbehaviour = GOOD
+    source: Binary, model: BinaryModel, faults: FaultInjection = GOOD
 ) -> AbstractContextManager[PeripheralInReach]:
     """A peripheral that notifies a device's frames."""
-    return in_reach(NotifyingModel(source, model), misbehaviour)
+    return in_reach(NotifyingModel(source, model), faults)
 
 
 @contextmanager

@@ -35,7 +35,7 @@ class GanglionBoard:
     def hold(self, characteristic: str) -> bytes:
         return f"{self._firmware}.0.1".encode() if characteristic == uuid(protocol.FIRMWARE) else b""
 
-    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+    def receive(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
         if data == b"b":
             self.running, self._began, self._said = True, self._seconds, 0
         elif data == b"s":

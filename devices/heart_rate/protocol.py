@@ -11,7 +11,7 @@ from typing import NamedTuple
 SERVICE, MEASUREMENT = "180d", "2a37"
 
 
-class HeartRateSaid(NamedTuple):
+class HeartRateMeasurement(NamedTuple):
     """bpm; contact: None where the sensor cannot tell; energy_kj: None where it is not said; rr_s: oldest first."""
 
     bpm: int
@@ -20,7 +20,7 @@ class HeartRateSaid(NamedTuple):
     rr_s: tuple[float, ...]
 
 
-def parse(data: bytes) -> HeartRateSaid | None:
+def parse(data: bytes) -> HeartRateMeasurement | None:
     """One notification; None for one that is cut off."""
     if len(data) < 2:
         return None
@@ -36,10 +36,10 @@ def parse(data: bytes) -> HeartRateSaid | None:
         rr = tuple(ticks / 1024 for (ticks,) in struct.iter_unpack("<H", rest))
     except struct.error:
         return None
-    return HeartRateSaid(bpm, bool(flags & 2) if flags & 4 else None, energy, rr)
+    return HeartRateMeasurement(bpm, bool(flags & 2) if flags & 4 else None, energy, rr)
 
 
-def build(said: HeartRateSaid) -> bytes:
+def build(said: HeartRateMeasurement) -> bytes:
     """The notification; for simulators and tests."""
     wide = said.bpm > 255
     flags = wide | (said.contact is not None) << 2 | bool(said.contact) << 1 | (said.energy_kj is not None) << 3

@@ -22,11 +22,11 @@ class Indexed(Simulator):
     counter_bits: int = param(16, least=1, most=32, help="after how many bits the counter starts again")
     trailing: str = param("", help="what follows the last number")
 
-    def brain(self) -> IndexedBrain:
-        return IndexedBrain(self)
+    def brain(self) -> IndexedModel:
+        return IndexedModel(self)
 
 
-class IndexedBrain:
+class IndexedModel:
     """The device without its cable; `ahead_s` sets its clock."""
 
     def __init__(self, of: Indexed) -> None:
@@ -34,7 +34,7 @@ class IndexedBrain:
         self._said = self._zero = 0
         self.ahead_s = 0.0
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         return b""
 
     def say(self, seconds: float) -> list[bytes]:

@@ -59,7 +59,7 @@ class LinesModel:
         self._zero = 0
         self.ahead_s = 0.0
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         return b""
 
     def say(self, seconds: float) -> list[bytes]:

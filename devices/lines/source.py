@@ -11,7 +11,7 @@ import structlog
 from kinegraph.devices.clocks.counter_check import CounterCheck
 from kinegraph.devices.clocks.device_clock import ClockState
 from kinegraph.devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from kinegraph.devices.clocks.stamps import Stamps, chunks, tell_losses, tell_problems
+from kinegraph.devices.clocks.stamps import Stamps, chunks, report_losses, report_problems
 from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
 from kinegraph.devices.lines.protocol import LineDecoder
 from kinegraph.devices.transport.handshake import shown
@@ -188,8 +188,8 @@ class LinesReading:
         packets = self._stamps.take(len(rows), arrival, device, counter, self._again(rows))
         if self._counting and counter is not None:
             self._counting.see(counter, arrival, feed)
-        missing = tell_losses(packets, feed, "lost line", "device restarted")
-        tell_problems(feed, repeated_line_or_wrong_time=len(rows) - len(packets.stamp))
+        missing = report_losses(packets, feed, "lost line", "device restarted")
+        report_problems(feed, repeated_line_or_wrong_time=len(rows) - len(packets.stamp))
         if hz := self._rate.see(len(packets.stamp), missing * (counter is not None), arrival, feed, device):
             self._stamps.follow(hz)
         if not len(packets.stamp):

@@ -70,7 +70,7 @@ class LslInlet(_Probing):
             raise ParameterError("channels", list(self.channels), "labels of which no two are the same")
         return {"out": self._probe() if self.probe else self._declared(), "timing": timing_spec()}
 
-    def fresh(self) -> Self:
+    def unopened(self) -> Self:
         made = replace(self)
         if hasattr(self, "probed"):
             object.__setattr__(made, "probed", self.probed)

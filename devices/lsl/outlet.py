@@ -69,7 +69,7 @@ class LslOutlet(Outlet[Nothing, LslRuntime]):
     network: Network = param(ANY, help="how far the stream is seen; one for the whole graph")
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing(), LslRuntime(form_of(specs["in"], self.events, self.fields)))
+        self.set_state(Nothing(), LslRuntime(form_of(specs["in"], self.events, self.fields)))
         return {}
 
     def keep_time(self, clock: SessionClock) -> None:

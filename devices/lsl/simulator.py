@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from kinegraph.devices.lsl.network import ANY, MACHINE, Network, library, unsettled
 from kinegraph.devices.lsl.samples import write_channels
 from kinegraph.devices.people.treadmill.signal import BURSTS, Signal, Walker
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection, FaultInjector
 from kinegraph.devices.simulation.sample_schedule import due
 from kinegraph.devices.simulation.serve import TICK_S, Simulator
 from kinegraph.stream.errors import DeviceError
@@ -58,12 +58,12 @@ class Lsl(Simulator):
         }
 
     @contextmanager
-    def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:
-        with self.sending(misbehaviour, address):
+    def serving(self, faults: FaultInjection = GOOD, address: str = "") -> Iterator[str]:
+        with self.sending(faults, address):
             yield f"LSL stream {self.name!r} with source_id {self.source_id!r}"
 
     @contextmanager
-    def sending(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[Sender]:
+    def sending(self, faults: FaultInjection = GOOD, address: str = "") -> Iterator[Sender]:
         """As `serving`, with the sender in hand."""
         if address:
             raise DeviceError(f"an LSL stream has no address such as {address!r}; it is found by its name or source_id")
@@ -77,8 +77,8 @@ class Lsl(Simulator):
                     channels=1,
                     markers=True,
                 )
-                senders.enter_context(Sender(more, misbehaviour))
-            yield senders.enter_context(Sender(self, misbehaviour))
+                senders.enter_context(Sender(more, faults))
+            yield senders.enter_context(Sender(self, faults))
 
     def signal(self) -> Signal:
         """What is simulated; sample k is stamped k / rate."""
@@ -130,8 +130,8 @@ class WalkPackets:
 class Sender:
     """An outlet at work in a thread, misbehaving as told."""
 
-    def __init__(self, of: Lsl, misbehaviour: Misbehaviour) -> None:
-        self._of, self._walk, self.mishaps = of, WalkPackets(of), Mishaps(misbehaviour)
+    def __init__(self, of: Lsl, faults: FaultInjection) -> None:
+        self._of, self._walk, self.injector = of, WalkPackets(of), FaultInjector(faults)
         self._lsl = library(of.network)
         self._stop, self._lock = threading.Event(), threading.Lock()
         self._out = False
@@ -168,16 +168,16 @@ class Sender:
             self._stop.wait(max(0.0, began + number * chunk - self._lsl.local_clock()))
             now = self._lsl.local_clock()
             first, said = due(said, now, rate)
-            packets = self.mishaps.spoil(self._walk.say(first, said), now - began)
+            packets = self.injector.spoil(self._walk.say(first, said), now - began)
             with self._lock:
                 kept = self._pass(kept + packets, now - began)
 
     def _pass(self, packets: list[bytes], seconds: float) -> list[bytes]:
         """Send what may be sent at this second; returns what is kept."""
-        if self._out or self.mishaps.unplugged(seconds):
+        if self._out or self.injector.unplugged(seconds):
             self._outlet = None
             return []
-        if self.mishaps.stalled(seconds):
+        if self.injector.stalled(seconds):
             return packets
         self._plug()
         for packet in packets:

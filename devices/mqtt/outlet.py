@@ -98,7 +98,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
             check_where(spec, entity.where, f"entities.{name}.where")
         for i, history in enumerate(self.history):
             history.check(specs, f"history[{i}]")
-        self.hold(MessageQueueState(""), MqttRuntime(specs, self.entities))
+        self.set_state(MessageQueueState(""), MqttRuntime(specs, self.entities))
         return {}
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.devices.mti import xbus, xbus_numbers
 from kinegraph.devices.people.walking_back import Back, Manner
 from kinegraph.devices.people.walking_limb import Limb, Site
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.sample_schedule import due
 from kinegraph.devices.simulation.serve import Server, Simulator
 from kinegraph.stream.params import param
@@ -47,13 +47,13 @@ class SimulatedMti(Simulator):
         return MtiModel(self.site, self.cadence_per_min, self.seed, self.manner)
 
     @contextmanager
-    def on_usb(self, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
+    def on_usb(self, faults: FaultInjection = GOOD) -> Iterator[str]:
         """While the context lasts, the device is on a simulated USB bus of this process; gives what the host opens."""
         from kinegraph.devices.usb.simulated_bus import BULK, SimulatedBus, UsbLine, UsbWiring
 
         wiring = UsbWiring(0x2639, 0x0003, "Xsens", "MTi-300 AHRS", "SIM03700001", BULK, driver="xsens_mt")
         line = UsbLine(SimulatedBus.shared(), wiring)
-        with Server(self.brain(), line, misbehaviour) as server:
+        with Server(self.brain(), line, faults) as server:
             yield server.address
 
 
@@ -80,7 +80,7 @@ class MtiModel:
         self.stored = 0
         """How often settings were written into its lasting memory."""
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         runs = self._decoder.feed(data).runs
         return b"".join(self._obey(run.mid, run.data) for run in runs for _ in range(len(run)))
 

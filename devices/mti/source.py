@@ -12,7 +12,7 @@ from kinegraph.devices.clocks import tick_clock
 from kinegraph.devices.clocks.device_clock import ClockState
 from kinegraph.devices.clocks.packet_clock import Packets
 from kinegraph.devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from kinegraph.devices.clocks.stamps import chunks, tell_losses, tell_problems
+from kinegraph.devices.clocks.stamps import chunks, report_losses, report_problems
 from kinegraph.devices.clocks.tick_clock import TickClock
 from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
 from kinegraph.devices.mti import xbus, xbus_numbers
@@ -230,7 +230,7 @@ class MtiReading:
             self._emit_all(self._behind, feed)
             self._behind = []
         found = self._decoder.feed(data)
-        tell_problems(feed, bytes_that_are_no_packet=found.dropped, resync=found.resyncs)
+        report_problems(feed, bytes_that_are_no_packet=found.dropped, resync=found.resyncs)
         return self._emit_all(found.runs, feed) if found.runs else 0
 
     def _emit_all(self, found: list[XbusRun], feed: Feed) -> int:
@@ -253,12 +253,12 @@ class MtiReading:
         return n
 
     def _emit(self, run: XbusRun, packets: Packets, arrival: int, feed: Feed) -> None:
-        missing = tell_losses(packets, feed, "lost packet", "counter reset")
+        missing = report_losses(packets, feed, "lost packet", "counter reset")
         self._rate.see(len(packets.stamp), missing, arrival, feed)
         if packets.clean:
             feed.emit(Chunk(packets.stamp, run.columns(self._kinds), packets.stamp.item(-1)), "imu")
         else:
-            tell_problems(feed, repeated_packet=len(run) - len(packets.stamp))
+            report_problems(feed, repeated_packet=len(run) - len(packets.stamp))
             if not len(packets.stamp):
                 return
             data = run.columns(self._kinds)

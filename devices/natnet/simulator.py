@@ -23,8 +23,8 @@ from kinegraph.devices.natnet.protocol import (
     ServerInfo,
     Version,
 )
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection, FaultInjector
+from kinegraph.devices.transport.closing import ClosesAtExit
 
 if TYPE_CHECKING:
     from kinegraph.devices.natnet.source import NatNet
@@ -84,14 +84,14 @@ class NatNetScene:
         return made
 
 
-class NatNetServer(ClosedAtEnd):
+class NatNetServer(ClosesAtExit):
     """Answers and sends as Motive does: unicast to who asks and keeps asking, or multicast on `group`."""
 
     def __init__(
-        self, scene: NatNetScene, version: Version = (3, 0), *, multicast: bool = False, misbehaviour: Misbehaviour = GOOD, port: int = 0
+        self, scene: NatNetScene, version: Version = (3, 0), *, multicast: bool = False, faults: FaultInjection = GOOD, port: int = 0
     ) -> None:  # fmt: skip
         self.scene, self._version, self._multicast = scene, version, multicast
-        self.mishaps = Mishaps(misbehaviour)
+        self.injector = FaultInjector(faults)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", port))
         self._socket.settimeout(0.002)
@@ -146,7 +146,7 @@ class NatNetServer(ClosedAtEnd):
             if self._multicast
             else [c for c, at in self._clients.items() if now - at < FORGETS_S]
         )
-        for one in self.mishaps.spoil([packet], number / self.scene.rate_hz):
+        for one in self.injector.spoil([packet], number / self.scene.rate_hz):
             for who in to:
                 self._socket.sendto(one, who)
         self.changed = False

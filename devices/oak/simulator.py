@@ -27,7 +27,7 @@ from kinegraph.devices.oak.simulated_keypoints import KeypointSight
 from kinegraph.devices.oak.source import Oak as OakSource
 from kinegraph.devices.people.rendered_performer import RenderedPerformer
 from kinegraph.devices.people.sleeper import Sleeper
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection, FaultInjector
 from kinegraph.devices.simulation.serve import Simulator
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.params import param
@@ -81,7 +81,7 @@ class OakSimulator(Simulator):
         return {"reset_every_s": "its frames are numbered again from 0 whenever it was unplugged, and only then"}
 
     @contextmanager
-    def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:
+    def serving(self, faults: FaultInjection = GOOD, address: str = "") -> Iterator[str]:
         if address:
             raise DeviceError(f"a simulated OAK camera has no address such as {address!r}")
         if not self.record:
@@ -89,13 +89,13 @@ class OakSimulator(Simulator):
                 "a simulated OAK camera lives in the process that reads it: kinegraph run CONFIG --simulate; "
                 "or let it write a recording that depthai plays, with record=FILE.mcap"
             )
-        with self.plugged_in(misbehaviour) as camera, camera.recording(Path(self.record)):
+        with self.plugged_in(faults) as camera, camera.recording(Path(self.record)):
             yield self.record
 
     @contextmanager
-    def plugged_in(self, misbehaviour: Misbehaviour = GOOD) -> Iterator[SimulatedCamera]:
+    def plugged_in(self, faults: FaultInjection = GOOD) -> Iterator[SimulatedCamera]:
         """A camera that can be opened, and unplugged, while the context lasts."""
-        camera = SimulatedCamera(self, misbehaviour)
+        camera = SimulatedCamera(self, faults)
         try:
             yield camera
         finally:
@@ -108,13 +108,13 @@ class SimulatedCamera:
     So a room that is empty at first is seen empty, however long the session took to get ready.
     """
 
-    def __init__(self, of: OakSimulator, misbehaviour: Misbehaviour) -> None:
-        self.of, self.mishaps = of, Mishaps(misbehaviour)
+    def __init__(self, of: OakSimulator, faults: FaultInjection) -> None:
+        self.of, self.injector = of, FaultInjector(faults)
         self.performer = RenderedPerformer(of.width, of.height, seed=of.seed)
         self.sleeper = Sleeper(of.width, of.height, seed=of.seed, per_min=of.per_min, invalid=of.invalid)
         self.began = math.nan
-        self._freeze = Mishaps(Misbehaviour(stall_every_s=of.freeze_every_s, stall_s=of.freeze_s))
-        self._blind = Mishaps(Misbehaviour(stall_every_s=of.blind_every_s, stall_s=of.blind_s))
+        self._freeze = FaultInjector(FaultInjection(stall_every_s=of.freeze_every_s, stall_s=of.freeze_s))
+        self._blind = FaultInjector(FaultInjection(stall_every_s=of.blind_every_s, stall_s=of.blind_s))
         self._pulled = threading.Event()
         self.times_lit = 0
 
@@ -128,7 +128,7 @@ class SimulatedCamera:
 
     def out(self) -> bool:
         """Whether the cable is out."""
-        return self._pulled.is_set() or self.mishaps.unplugged(self.since())
+        return self._pulled.is_set() or self.injector.unplugged(self.since())
 
     def since(self) -> float:
         """How long ago it was opened first (s)."""
@@ -246,8 +246,8 @@ class RunningScene:
             HEAD.pack(k - self._first, self._zero_us + round(k / fps * 1e6)) + camera.frame(k, k / fps).tobytes()
             for k in range(first, due + 1)
         ]
-        packets = camera.mishaps.spoil(packets, seconds)
-        if camera.mishaps.stalled(seconds):
+        packets = camera.injector.spoil(packets, seconds)
+        if camera.injector.stalled(seconds):
             self._kept += packets
             return []
         kept, self._kept = self._kept, []

@@ -46,7 +46,7 @@ class OscOutlet(Outlet[OscState, OscRuntime]):
         if not self.address.startswith("/") or self.address.endswith("/") or not self.address.isascii():
             raise ParameterError("address", self.address, "an OSC address such as /kinegraph")
         names = spec.channels or tuple(str(i + 1) for i in range(spec.shape[0]))
-        self.hold(OscState(), OscRuntime(tuple(f"{self.address}/{_plain(name)}" for name in names)))
+        self.set_state(OscState(), OscRuntime(tuple(f"{self.address}/{_plain(name)}" for name in names)))
         return {}
 
     def begin(self) -> None:

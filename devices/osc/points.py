@@ -53,7 +53,7 @@ class OscPoints(Outlet[OscPointsState, OscPointsRuntime]):
         addresses = tuple(f"{self.address}/{_plain(name)}" for name in names)
         if len(set(addresses)) < len(addresses):
             raise InputError("in", spec.describe(), "points whose names differ in letters or digits")
-        self.hold(OscPointsState(), OscPointsRuntime(addresses))
+        self.set_state(OscPointsState(), OscPointsRuntime(addresses))
         return {}
 
     def begin(self) -> None:

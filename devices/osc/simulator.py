@@ -13,7 +13,7 @@ from kinegraph.devices.frames.datagram_simulator import sending
 from kinegraph.devices.frames.declared import NS_PER
 from kinegraph.devices.osc.inlet import OscArgument, OscInlet, OscStream
 from kinegraph.devices.osc.vmc_protocol import text
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.stream.chunk import NS
 
 OTHERWISE_HZ = 50.0
@@ -29,7 +29,7 @@ class OscModel:
         self._said = [0] * len(of.streams)
         self._zero = [0] * len(of.streams)
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         return b""
 
     def say(self, seconds: float) -> list[bytes]:
@@ -66,9 +66,9 @@ class OscModel:
 
 
 @contextmanager
-def serving(model: OscModel, misbehaviour: Misbehaviour = GOOD) -> Iterator[int]:
+def serving(model: OscModel, faults: FaultInjection = GOOD) -> Iterator[int]:
     """The UDP port at which to listen for it."""
-    with sending(model, misbehaviour) as address:
+    with sending(model, faults) as address:
         yield int(address.rsplit(":", 1)[1])
 
 

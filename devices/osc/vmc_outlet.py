@@ -68,7 +68,7 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
         avatar = read_vrm(self.avatar) if self.avatar else usual_body()
         body = tree if tree.joints == BONES else to_humanoid(tree, np.zeros((0, tree.width)), self.bones)[0]
         frame = VmcFrame(BONES, avatar.offsets, names, self.most_bytes)
-        self.hold(VmcState(np.zeros(len(names))), VmcRuntime(tree, frame, _leg(avatar) / max(_leg(body), 1e-3)))
+        self.set_state(VmcState(np.zeros(len(names))), VmcRuntime(tree, frame, _leg(avatar) / max(_leg(body), 1e-3)))
         return {}
 
     def begin(self) -> None:

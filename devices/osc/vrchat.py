@@ -58,7 +58,7 @@ class VrchatTrackers(Outlet[VrchatState, VrchatRuntime]):
 
     def open(self, specs: Specs) -> Specs:
         tree = humanoid_of(specs["pose"], self.bones)
-        self.hold(VrchatState(), VrchatRuntime(tree))
+        self.set_state(VrchatState(), VrchatRuntime(tree))
         return {}
 
     def begin(self) -> None:

@@ -57,7 +57,7 @@ class BvhFile(Outlet[BvhState, BvhRuntime]):
         if not spec.rate_hz:
             raise InputError("pose", spec.describe(), "a regular stream: BVH has one time between all its frames")
         rest = np.concatenate([tree.offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], len(tree.joints))])
-        self.hold(BvhState(rest, 0), BvhRuntime(tree, *bvh_head(tree, spec.rate_hz)))
+        self.set_state(BvhState(rest, 0), BvhRuntime(tree, *bvh_head(tree, spec.rate_hz)))
         return {}
 
     @property

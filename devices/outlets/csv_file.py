@@ -75,7 +75,7 @@ class CsvFile(Outlet[CsvState, CsvRuntime]):
             raise InputError(
                 "in", f"{spec.describe()}: {n} columns", f"a stream of at most {MOST_COLUMNS} numbers a sample"
             )
-        self.hold(CsvState(), CsvRuntime(spec))
+        self.set_state(CsvState(), CsvRuntime(spec))
         return {}
 
     @property

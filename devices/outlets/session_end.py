@@ -52,7 +52,7 @@ class SessionEnd(Outlet[SessionEndState, SessionEndRuntime]):
             )
         if self.text and "text" not in (spec.dtype.names or ()):
             raise ParameterError("text", self.text, "left out: these events have no field `text`")
-        self.hold(SessionEndState(0, NEVER), SessionEndRuntime())
+        self.set_state(SessionEndState(0, NEVER), SessionEndRuntime())
         return {}
 
     def let_stop(self, stop: Callable[[], None]) -> None:

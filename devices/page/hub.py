@@ -74,7 +74,7 @@ class Hub:
 
     # from the session ------------------------------------------------------------------------------------------------
 
-    def hear(self, header: dict[str, Any], numbers: memoryview) -> None:
+    def receive(self, header: dict[str, Any], numbers: memoryview) -> None:
         """A message of the session's process."""
         match header["t"]:
             case "hello":

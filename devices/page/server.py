@@ -34,7 +34,7 @@ async def read_session(hub: Hub, first: asyncio.Event) -> None:
             (length,) = LENGTH.unpack(await reader.readexactly(LENGTH.size))
             if length > MOST_BYTES:
                 return
-            hub.hear(*decode(await reader.readexactly(length)))
+            hub.receive(*decode(await reader.readexactly(length)))
             first.set()
     except asyncio.IncompleteReadError:
         return
@@ -54,7 +54,7 @@ async def main(options: dict[str, Any]) -> None:
     port = await server.open(options["host"], options["port"], options["token"], tls)
     say({"do": "listen", "port": port})
     await reading
-    hub.hear({"t": "tick"}, memoryview(b""))
+    hub.receive({"t": "tick"}, memoryview(b""))
     await asyncio.sleep(0.3)
     with suppress(TimeoutError):  # a client that reads nothing has not heard that this is the end
         await asyncio.wait_for(server.close(), 2)

@@ -11,7 +11,7 @@ import numpy as np
 
 from kinegraph.devices.ble.simulated_radio import in_reach
 from kinegraph.devices.heart_rate import protocol as heart_rate
-from kinegraph.devices.heart_rate.protocol import HeartRateSaid
+from kinegraph.devices.heart_rate.protocol import HeartRateMeasurement
 from kinegraph.devices.heart_rate.source import HeartRate
 from kinegraph.devices.polar import protocol as polar_pmd
 from kinegraph.devices.polar.protocol import ACC, ECG
@@ -61,7 +61,7 @@ class PolarBelt:
         }
         return known.get(characteristic, b"")
 
-    def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+    def receive(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
         if characteristic != polar_pmd.CONTROL or len(data) < 2:
             return []
         op, kind = data[0], data[1]
@@ -93,7 +93,7 @@ class PolarBelt:
             self._said[kind] = max(due, self._said[kind])
         beats = int(seconds / BEAT_S)
         if beats > self._beats:
-            measured = HeartRateSaid(round(60 / BEAT_S), None, None, (BEAT_S,) * min(beats - self._beats, 4))
+            measured = HeartRateMeasurement(round(60 / BEAT_S), None, None, (BEAT_S,) * min(beats - self._beats, 4))
             said.append((heart_rate.MEASUREMENT, heart_rate.build(measured)))
             self._beats = beats
         return said

@@ -14,13 +14,13 @@ import numpy as np
 
 from kinegraph.devices.qualisys import protocol as protocol
 from kinegraph.devices.qualisys.protocol import AnalogSamples, QualisysDecoder, QualisysFrame
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosesAtExit
 
 if TYPE_CHECKING:
     from kinegraph.devices.qualisys.source import Qualisys
 
 
-class QualisysServer(ClosedAtEnd):
+class QualisysServer(ClosesAtExit):
     """One client at a time, which gets everything. Every 20th frame misses the first marker; those whose number `lose` divides are lost."""
 
     def __init__(

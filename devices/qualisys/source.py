@@ -10,7 +10,7 @@ import numpy as np
 
 from kinegraph.devices.clocks import line_below
 from kinegraph.devices.clocks.clock_log import ClockLog
-from kinegraph.devices.clocks.stamps import Stamps, chunks, tell_losses
+from kinegraph.devices.clocks.stamps import Stamps, chunks, report_losses
 from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
 from kinegraph.devices.qualisys import protocol as protocol
 from kinegraph.devices.qualisys.protocol import (
@@ -115,7 +115,7 @@ class Qualisys(Source):
 
     def read(self, feed: Feed) -> None:
         with TcpTransport(f"tcp://{self.server}:{self.port}") as link:
-            talk = QualisysTalk(link, feed)
+            talk = QualisysSession(link, feed)
             talk.expect(protocol.COMMAND, "")
             talk.ask(f"version {protocol.VERSION}", protocol.COMMAND, "Version set to")
             wanted = (self.markers, self.bodies, self.segments, self.analog)
@@ -145,7 +145,7 @@ class Qualisys(Source):
                     link.write(protocol.command("streamframes stop"))
 
 
-class QualisysTalk:
+class QualisysSession:
     """Commands and their answers."""
 
     def __init__(self, link: TcpTransport, feed: Feed) -> None:
@@ -265,7 +265,7 @@ class QualisysAnalog:
                 continue
             n = len(block.values)
             packets = self._stamps.take(n, arrival, None, block.first + np.arange(n))
-            tell_losses(packets, feed, "lost analog sample", "device restarted")
+            report_losses(packets, feed, "lost analog sample", "device restarted")
             values = block.values[packets.kept][:, self._channels].astype(np.float64)
             for chunk in chunks(packets.stamp, packets.lost, values):
                 feed.emit(chunk, "analog")

@@ -85,7 +85,7 @@ class ShimmerModel:
         self._said = self._zero = 0
         self._configure()
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         data, self._pending, answers = self._pending + data, b"", b""
         while data:
             length = LENGTHS.get(data[0], 1)

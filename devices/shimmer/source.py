@@ -12,7 +12,7 @@ import structlog
 
 from kinegraph.devices.clocks.device_clock import ClockState
 from kinegraph.devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
-from kinegraph.devices.clocks.stamps import Stamps, chunks, tell_losses, tell_problems
+from kinegraph.devices.clocks.stamps import Stamps, chunks, report_losses, report_problems
 from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
 from kinegraph.devices.shimmer import protocol as protocol
 from kinegraph.devices.shimmer import units as units
@@ -209,7 +209,7 @@ class ShimmerReading:
 
     def take(self, data: bytes, feed: Feed) -> int:
         found = self._decoder.feed(data)
-        tell_problems(
+        report_problems(
             feed, bytes_that_are_no_packet=found.dropped, resync=found.resyncs, repeated_packet=found.repeated
         )
         for told in found.battery:
@@ -227,10 +227,10 @@ class ShimmerReading:
         packets = self._stamps.take(len(found), arrival, raw)
         if hz := self._rate.see(len(found), 0, arrival, feed, raw):
             self._stamps.follow(hz)
-        tell_problems(feed, wrong_time=int((~packets.kept).sum()))
+        report_problems(feed, wrong_time=int((~packets.kept).sum()))
         if not len(packets.stamp):
             return
-        tell_losses(packets, feed, "lost packet", "device restarted")
+        report_losses(packets, feed, "lost packet", "device restarted")
         for output, values in (("motion", self._moved(found)), ("exg", self._measured(found))):
             if values is not None:
                 for chunk in chunks(packets.stamp, packets.lost, values[packets.kept]):

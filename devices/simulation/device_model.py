@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 class DeviceModel(Protocol):
     """A simulated device without its cable. It begins at second 0, when it is switched on, and is asked in order."""
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         """Bytes have come from the host; returns what the device answers."""
 
     def say(self, seconds: float) -> list[bytes]:

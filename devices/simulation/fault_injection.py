@@ -1,4 +1,4 @@
-"""What goes wrong between a device and its host, made on purpose: the same settings for every simulator, and the same chance for a seed."""
+"""Fault injection between a simulated device and its host. Every simulator has the same settings; a seed repeats the faults."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from kinegraph.stream.params import param
 
 
 @dataclass(frozen=True, slots=True)
-class Misbehaviour:
-    """How often what goes wrong. Shares are of packets; times are counted from the device's start. All of it is off by default.
+class FaultInjection:
+    """How often each fault occurs. Shares are of packets; times count from the device's start. Every fault is off by default.
 
     lose, duplicate, corrupt   a packet is left out, sent twice, has one byte changed
     stall_every_s, stall_s     nothing is sent for so long, then everything at once
@@ -35,15 +35,15 @@ class Misbehaviour:
     seed: int = param(0, least=0, help="another seed, other packets")
 
 
-GOOD = Misbehaviour()
+GOOD = FaultInjection()
 
 
-class Mishaps:
-    """A misbehaviour at work on one device's packets."""
+class FaultInjector:
+    """Applies the faults to the packets of one device."""
 
-    def __init__(self, misbehaviour: Misbehaviour) -> None:
-        self._of = misbehaviour
-        self._random = np.random.default_rng([misbehaviour.seed, 0xBAD])
+    def __init__(self, faults: FaultInjection) -> None:
+        self._of = faults
+        self._random = np.random.default_rng([faults.seed, 0xBAD])
         self.lost = self.duplicated = self.corrupted = 0
         """How many packets were."""
 

@@ -11,8 +11,8 @@ from typing import ClassVar, TypeVar
 
 from kinegraph.devices.simulation.cable import Line, line_at
 from kinegraph.devices.simulation.device_model import Clocked, DeviceModel
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection, FaultInjector
+from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.source import Source
 
@@ -22,11 +22,11 @@ TICK_S = 0.002
 """How finely time passes for a simulated device."""
 
 
-class Server(ClosedAtEnd):
+class Server(ClosesAtExit):
     """Runs a brain on a line until closed."""
 
-    def __init__(self, brain: DeviceModel, line: Line, misbehaviour: Misbehaviour = GOOD) -> None:
-        self.brain, self.line, self.mishaps = brain, line, Mishaps(misbehaviour)
+    def __init__(self, brain: DeviceModel, line: Line, faults: FaultInjection = GOOD) -> None:
+        self.brain, self.line, self.injector = brain, line, FaultInjector(faults)
         self._stop = threading.Event()
         self._cut = threading.Event()
         self._cut_by = 0.0
@@ -64,17 +64,17 @@ class Server(ClosedAtEnd):
             if self._out:
                 time.sleep(TICK_S)
             elif heard := self.line.read(TICK_S):
-                self.line.write(self.brain.hear(heard))
+                self.line.write(self.brain.receive(heard))
             self._pass(time.monotonic() - began)
 
     def _pass(self, seconds: float) -> None:
         """What the device does by itself until this second."""
-        if self.mishaps.resets(seconds) > self._resets:
+        if self.injector.resets(seconds) > self._resets:
             self._resets += 1
             self.brain.restart()
         if isinstance(self.brain, Clocked):
-            self.brain.ahead_s = self.mishaps.jumped_s(seconds)
-        packets = self.mishaps.spoil(self.brain.say(seconds), seconds)
+            self.brain.ahead_s = self.injector.jumped_s(seconds)
+        packets = self.injector.spoil(self.brain.say(seconds), seconds)
         if self._out:
             self._kept = []
             self._cut.clear()  # pulled out once more: it is out
@@ -82,9 +82,9 @@ class Server(ClosedAtEnd):
             self._pull_out(packets)
             self._out = True
             self._cut.clear()
-        elif self.mishaps.unplugged(seconds):
+        elif self.injector.unplugged(seconds):
             self._pull_out(packets)
-        elif self.mishaps.stalled(seconds):
+        elif self.injector.stalled(seconds):
             self._kept += packets
         else:
             self.line.plug()
@@ -117,25 +117,25 @@ class Simulator:
         """By misbehaviour that means nothing to this device: why."""
         return {}
 
-    def check(self, misbehaviour: Misbehaviour) -> None:
+    def check(self, faults: FaultInjection) -> None:
         """Raise ParameterError for a misbehaviour that this device cannot show."""
         for name, why in self.cannot.items():
-            if value := getattr(misbehaviour, name):
+            if value := getattr(faults, name):
                 raise ParameterError(name, int(value) if value == int(value) else value, f"0, as {why}")
-        if misbehaviour.jump_every_s and not isinstance(self.brain(), Clocked):
-            raise ParameterError("jump_every_s", misbehaviour.jump_every_s, "0, as its packets bring no time")
+        if faults.jump_every_s and not isinstance(self.brain(), Clocked):
+            raise ParameterError("jump_every_s", faults.jump_every_s, "0, as its packets bring no time")
 
     def brain(self) -> DeviceModel:
         """The device, just switched on."""
         raise NotImplementedError
 
     @contextmanager
-    def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:
+    def serving(self, faults: FaultInjection = GOOD, address: str = "") -> Iterator[str]:
         """While the context lasts, the device can be reached; gives what the host opens.
 
         `address`: where to serve, "tcp://host:port" (port 0: any); left out: a pseudo-terminal.
         """
-        with Server(self.brain(), line_at(address, self.port_name), misbehaviour) as server:
+        with Server(self.brain(), line_at(address, self.port_name), faults) as server:
             yield server.address
 
 

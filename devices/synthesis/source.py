@@ -159,7 +159,7 @@ class Synthesis(Source):
         """Wait until a pose is due; a word that was typed meanwhile."""
         if not self.realtime:
             return None
-        word = feed.hear(0.0)
+        word = feed.listen(0.0)
         feed.wait(max(0, stamp - feed.now()) / NS)
         return word
 

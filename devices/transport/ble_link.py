@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from kinegraph.devices.transport.ble_radio import library, nobody, options, run, uuid, wanted
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.source import Feed
 
@@ -25,7 +25,7 @@ class Notification(NamedTuple):
     data: bytes
 
 
-class BleLink(ClosedAtEnd):
+class BleLink(ClosesAtExit):
     """Finds a device, connects, and keeps what it notifies until it is fetched. bleak's loop runs while this link waits."""
 
     def __init__(self, feed: Feed, device: str, services: Sequence[str] = (), scan_s: float = 10.0) -> None:

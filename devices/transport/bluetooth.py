@@ -8,7 +8,7 @@ from contextlib import suppress
 
 from kinegraph.devices.transport.ble_link import BleLink
 from kinegraph.devices.transport.ble_radio import uuid
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError
 
 SCHEME = "ble://"
@@ -25,7 +25,7 @@ class _Clock:
         return time.monotonic_ns()
 
 
-class BleTransport(ClosedAtEnd):
+class BleTransport(ClosesAtExit):
     """ "ble://DEVICE/NOTIFY" or "ble://DEVICE/NOTIFY/WRITE": a device's name or address, and the UUIDs of two characteristics."""
 
     def __init__(self, address: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Self
 
 
-class ClosedAtEnd:
+class ClosesAtExit:
     """A connection, or a server, that its `close` lets go of."""
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from contextlib import suppress
 
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError
 
 MOST = 65536
@@ -27,7 +27,7 @@ def gathered_s(rates_hz: Iterable[float | None]) -> float:
     return GATHER_S if all(hz and hz * GATHER_S >= 2 for hz in rates_hz) else 0.0
 
 
-class UdpTransport(ClosedAtEnd):
+class UdpTransport(ClosesAtExit):
     """Listens at "udp://host:port": 127.0.0.1 hears this computer alone, 0.0.0.0 everybody.
 
     gather_s   how long datagrams are left to gather before they are read, one after the other: fewer rests, after which all is cold

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol, Self
 
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError
 
 MOST = 65536
@@ -72,7 +72,7 @@ def present(address: str) -> bool | None:
     return Path(address).exists() if address.startswith("/") else None
 
 
-class SerialTransport(ClosedAtEnd):
+class SerialTransport(ClosesAtExit):
     """A serial port, for this process alone. Where the driver can, FTDI's 16 ms latency timer is set to 1 ms."""
 
     def __init__(self, port: str, baud: int) -> None:
@@ -127,7 +127,7 @@ class SerialTransport(ClosedAtEnd):
             self._port.close()
 
 
-class TcpTransport(ClosedAtEnd):
+class TcpTransport(ClosesAtExit):
     """A TCP connection, "tcp://host:port"."""
 
     def __init__(self, address: str, timeout_s: float = 3.0) -> None:

@@ -6,7 +6,7 @@ import errno
 from contextlib import suppress
 from typing import Any
 
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.devices.transport.usb_bus import UsbAddress, failure, find, who
 from kinegraph.stream.errors import DeviceError
 
@@ -17,7 +17,7 @@ WRITE_MS = 1000
 _KIND = {BULK: "bulk", INTERRUPT: "interrupt"}
 
 
-class Pipe(ClosedAtEnd):
+class Pipe(ClosesAtExit):
     """An interface of a USB device, for this process alone. The system's own driver is detached, and put back at the end.
 
     A read is one transfer: of a bulk endpoint as many packets as are there, of an interrupt endpoint one report.

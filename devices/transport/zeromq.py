@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kinegraph.devices.transport.closing import ClosedAtEnd
+from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.system.extras import optional
 
@@ -11,7 +11,7 @@ MOST_WAITING = 10_000
 """Messages that are kept while nobody reads; ZeroMQ leaves out what comes on top."""
 
 
-class ZeroMqTransport(ClosedAtEnd):
+class ZeroMqTransport(ClosesAtExit):
     """Subscribes to "zmq+tcp://host:port" or "zmq+ipc://path": all of it, or "...?topic=TEXT" what begins so; the publisher binds.
 
     Of a message of several parts, the last one is taken: those before it are topics. ZeroMQ itself connects again to a publisher that

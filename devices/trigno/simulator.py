@@ -13,7 +13,7 @@ import numpy as np
 from kinegraph.devices.people.treadmill.signal import BURSTS, Signal, Walker
 from kinegraph.devices.people.walking_limb import GRAVITY, Limb
 from kinegraph.devices.simulation.cable import TcpLine
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server, Simulator
 from kinegraph.devices.trigno import protocol as protocol
 from kinegraph.devices.trigno.protocol import AUX_HZ, FRAME_S, SENSORS, Layout
@@ -50,8 +50,8 @@ class SimulatedTrigno(Simulator):
         return TrignoModel(self.paired, self.seed, self.duos)
 
     @contextmanager
-    def serving(self, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Iterator[str]:
-        with Station(self.brain(), StationLine(address or "tcp://127.0.0.1:0"), misbehaviour) as station:
+    def serving(self, faults: FaultInjection = GOOD, address: str = "") -> Iterator[str]:
+        with Station(self.brain(), StationLine(address or "tcp://127.0.0.1:0"), faults) as station:
             yield station.address
 
 
@@ -68,7 +68,7 @@ class TrignoModel:
         self._began: float | None = None
         self._said = 0
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         commands, self._heard = protocol.answers(self._heard + data)
         return b"".join(protocol.command(self._obey(one.upper())) for one in commands)
 

@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.devices.frames.simulator import BinaryModel
 from kinegraph.devices.people.walking_limb import GRAVITY, Limb
 from kinegraph.devices.simulation.device_model import DeviceModel
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.devices.transport.usb_bus import UsbAddress
 from kinegraph.devices.usb.endpoint import Endpoint
@@ -29,7 +29,7 @@ MOST_BEHIND = 2500
 
 
 @contextmanager
-def serving(source: Endpoint, misbehaviour: Misbehaviour = GOOD) -> Iterator[str]:
+def serving(source: Endpoint, faults: FaultInjection = GOOD) -> Iterator[str]:
     """The address of a device, on a simulated USB bus of this process, that sends what `source` reads."""
     where = UsbAddress.parse(source.port)
     if (where.vendor, where.product) == (DUALSENSE.vendor, DUALSENSE.product):
@@ -43,7 +43,7 @@ def serving(source: Endpoint, misbehaviour: Misbehaviour = GOOD) -> Iterator[str
             where.vendor, where.product or 1, "kinegraph", "as declared", where.serial or "SIM0001", INTERRUPT,
             packet=size, interface=source.interface or 0, endpoint=number,
         )  # fmt: skip
-    with Server(brain, UsbLine(SimulatedBus.shared(), wiring), misbehaviour) as server:
+    with Server(brain, UsbLine(SimulatedBus.shared(), wiring), faults) as server:
         yield server.address
 
 
@@ -58,7 +58,7 @@ class DualSenseBrain:
         self.limb = Limb("shank", REPORTS_HZ, seed=seed)
         self._said = self._zero = 0
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         return b""
 
     def say(self, seconds: float) -> list[bytes]:

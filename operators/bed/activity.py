@@ -158,7 +158,7 @@ class Activity(Operator[ActivityState]):
         limits = ActivityLimits(
             self.sigmas, self.least_rise, self.least_s, self.least_seen, self.crosstalk_ratio, unasked
         )
-        self.hold(
+        self.set_state(
             ActivityState(
                 SleeperActivity.none(list(spec.channels), limits, -(-epoch_ns // slots)), epoch_ns, NEVER, 0,
                 int(self.reset_gap_s * NS) // epoch_ns, self.epoch_s * rate_hz, EpochSlots.none(slots, len(spec.channels)), 0,

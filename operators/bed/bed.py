@@ -96,7 +96,7 @@ class BedRegion(Operator[BedState]):
             if not (rows and columns and row + rows <= height and column + columns <= width):
                 raise ParameterError("regions", list(self.regions), f"within {height} rows and {width} columns")
         state = BedState(block, np.zeros(spec.shape), np.zeros(spec.shape, np.int64), NEVER, False, 0, np.zeros(2))
-        self.hold(state, decision_s={"out": 0.0})
+        self.set_state(state, decision_s={"out": 0.0})
         meta = {key: value for key, value in spec.meta.items() if key != "sleepers"}
         return {"out": region_spec(names, meta)}
 

@@ -125,7 +125,7 @@ class Breathing(Operator[BreathingState]):
         straighten(np.zeros(4), np.empty(4))
         powers(np.zeros(4), np.zeros((1, 4)), np.zeros((1, 4)), np.zeros(1))
         angles = 2 * np.pi * np.outer(rates / 60, np.arange(n) / tick_hz)
-        self.hold(
+        self.set_state(
             BreathingState(
                 list(sleepers), block, tick_ns, round(self.epoch_s * NS),
                 size, across, np.zeros((k, 4), np.int64), np.full((n, cells), np.nan), NEVER,

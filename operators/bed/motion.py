@@ -122,7 +122,7 @@ class Motion(Operator[MotionState]):
         regions = np.zeros((len(sleepers), 4), np.int64)
         if "regions" not in specs:
             regions[0] = 0, 0, height, width
-        self.hold(
+        self.set_state(
             MotionState(
                 list(sleepers), round(self.epoch_s * NS), every, round(NS / rate_hz), NEVER,
                 round(max(self.longest_gap_s, 1.5 / rate_hz) * NS), 0, cell, np.zeros(spec.shape, np.uint16), NEVER,

@@ -70,7 +70,7 @@ class NightMap(Operator[NightMapState]):
             _check_epochs(specs["seen"], spec)
         there = [] if "bed" in specs else ["anybody"]
         sums = np.zeros((2, *shape)), np.zeros((2, *shape), np.int64)
-        self.hold(NightMapState(*sums, NEVER, NEVER, there, "seen" not in specs, NEVER, False, 0))
+        self.set_state(NightMapState(*sums, NEVER, NEVER, there, "seen" not in specs, NEVER, False, 0))
         return {"out": spec}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

@@ -86,7 +86,7 @@ class Presence(Operator[PresenceState]):
             60.0 * self.vacant_min, 60 * self.unsure_min, 60 * self.odd_min, self.unseen_s,
         )  # fmt: skip
         longest_s = max(limits.vacant_s, limits.unsure_s, limits.odd_s, BLIND_S, CROWD_S, self.hold_s, self.unseen_s)
-        self.hold(
+        self.set_state(
             PresenceState(block, Occupancy.none(sleepers, spec.shape, limits), np.zeros(2, np.int64)),
             delay_s=1.0,
             decision_s={"out": longest_s + self.learn_s + 1},

@@ -85,7 +85,7 @@ class Background(Operator[BackgroundState]):
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "floor")
-    agrees: ClassVar[str] = "floor: RANSAC, Fischler and Bolles 1981, then least squares"
+    references: ClassVar[str] = "floor: RANSAC, Fischler and Bolles 1981, then least squares"
 
     learn_s: float = param(1.0, above=0.0, help="how long to observe before anything counts as foreground")
     least_mm: float = param(60.0, above=0.0, help="how far before the background something must stand")
@@ -107,7 +107,7 @@ class Background(Operator[BackgroundState]):
         behind, earlier, front = np.zeros((3, *spec.shape), np.float32)
         streak, shown = np.zeros(spec.shape, np.int32), np.zeros((2, *spec.shape), np.uint16)
         enough = math.ceil(self.learn_s * rate)
-        self.hold(
+        self.set_state(
             BackgroundState(
                 rate,
                 np.array(camera),

@@ -99,7 +99,7 @@ class Extrema(Operator[ExtremaState]):
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "confidence")
-    agrees: ClassVar[str] = "geodesic extrema: Plagemann 2010, Baak 2011"
+    references: ClassVar[str] = "geodesic extrema: Plagemann 2010, Baak 2011"
 
     height_m: float = param(1.75, above=0.5, most=2.5, help="the person's height: all lengths go with it")
     apart_m: float = param(0.10, above=0.01, most=0.5, help="pixels side by side are one surface if they are nearer")
@@ -113,7 +113,7 @@ class Extrema(Operator[ExtremaState]):
         if camera is None:
             raise InputError("in", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
         n = len(ENDS)
-        self.hold(
+        self.set_state(
             ExtremaState(np.array(camera), np.zeros(2), np.full((n, 3), np.nan), np.zeros(n, np.int64), np.zeros(3), 0)
         )
         return markers_specs(spec)

@@ -60,7 +60,7 @@ class Surer(Operator[SurerState]):
             raise InputError("second", second.describe(), f"the same markers as `first`: {first.describe()}")
         if self.fill and first.channels != MARKERS:
             raise ParameterError("fill", True, "false for other markers than those of operators.body")
-        self.hold(SurerState(np.full(first.shape, np.nan), -1, True, 0))
+        self.set_state(SurerState(np.full(first.shape, np.nan), -1, True, 0))
         return {"out": first.derive(settling_s=max(first.settling_s, second.settling_s))}
 
     def process(self, port: str, chunk: Chunk) -> Chunk | None:

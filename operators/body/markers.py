@@ -72,7 +72,7 @@ class Markers(Operator[MarkersState]):
         camera = camera_of(spec)
         if camera is None:
             raise InputError("in", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
-        self.hold(
+        self.set_state(
             MarkersState(
                 np.array(camera),
                 np.zeros(4),

@@ -75,7 +75,7 @@ class Persons(Operator[PersonsState]):
             raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 where nobody is")
         camera = camera_of(spec) or (np.nan,) * 4
         places, seen = np.full((self.most, 4), np.nan), np.zeros(self.most, np.int64)
-        self.hold(
+        self.set_state(
             PersonsState(
                 np.array(camera), np.zeros(spec.shape, np.uint8), np.zeros(spec.shape, np.uint16), places, seen,
                 np.zeros(self.most, np.bool_), 0,

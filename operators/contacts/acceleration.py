@@ -121,7 +121,9 @@ class AccelerationContacts(Contacts[AccelerationState]):
         )
         state.motion["last"] = NEVER
         delay_s = 1e-9 * (LATEST_NS + STRIKE_NS)
-        self.hold(state, delay_s=delay_s, decision_s={"touchdown": delay_s, "liftoff": delay_s + 1e-9 * LONGEST_NS})
+        self.set_state(
+            state, delay_s=delay_s, decision_s={"touchdown": delay_s, "liftoff": delay_s + 1e-9 * LONGEST_NS}
+        )
         return self.contacts(spec)
 
     def follow(self, time: Times, data: Array, found: Times) -> tuple[int, int]:

@@ -103,7 +103,7 @@ class _Press(Contacts[PressState]):
             block=max(2, round(BLOCK_S * (spec.rate_hz or 100.0))),
         )
         delay_s = self.debounce_s + spec.period_ns / NS
-        self.hold(state, delay_s=delay_s, decision_s=dict.fromkeys(self.outputs, delay_s))
+        self.set_state(state, delay_s=delay_s, decision_s=dict.fromkeys(self.outputs, delay_s))
 
     def run(self, time: Times, load: Samples, threshold: float, hysteresis: float, found: Times) -> tuple[int, int]:
         state, hold_ns = self.state, round(self.debounce_s * NS)

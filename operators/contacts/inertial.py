@@ -222,7 +222,9 @@ class InertialContacts(Contacts[InertialState]):
         state.motion["last"] = NEVER
         state.motion["touched_at"] = NEVER // 2
         delay_s = 1e-9 * (LATEST_NS - FOOT_NS[2]) + spec.period_ns / NS
-        self.hold(state, delay_s=delay_s, decision_s={"touchdown": delay_s, "liftoff": delay_s + 1e-9 * LONGEST_NS})
+        self.set_state(
+            state, delay_s=delay_s, decision_s={"touchdown": delay_s, "liftoff": delay_s + 1e-9 * LONGEST_NS}
+        )
         return self.contacts(spec)
 
     def _angular(self, spec: StreamSpec) -> tuple[list[int], str]:

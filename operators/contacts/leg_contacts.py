@@ -49,7 +49,7 @@ class LegContacts(Operator[LegContactsState]):
                 raise InputError(port, f"contacts of the {side} leg", f"those of the {port.partition('_')[0]} one")
         none, never = np.empty(0, LIMB_CONTACT), np.empty(0, np.int64)
         state = LegContactsState([never, never], [none, none], np.zeros(2, np.int64), np.full(2, NEVER))
-        self.hold(state, decision_s={"touchdown": 0.0, "liftoff": 0.0})
+        self.set_state(state, decision_s={"touchdown": 0.0, "liftoff": 0.0})
         first = specs["left_touchdown"]
         meta = {k: v for k, v in first.meta.items() if k not in ("side", "label")}
         settling_s = max(given.settling_s for given in specs.values())

@@ -54,7 +54,7 @@ class LimbContacts(OnePerLimb[Contacts[Any]]):
         parts: list[Contacts[Any]] = [build(found, {**(self.common or {}), **mine}) for mine in self.limbs.values()]
         made = [part.open(specs)["touchdown"] for part in parts]
         object.__setattr__(self, "parts", parts)
-        self.hold(
+        self.set_state(
             LimbsState([part.state for part in parts], np.zeros((len(parts), 1), np.int64)),
             delay_s=max(part.delay_s for part in parts),
             decision_s=parts[0].decision_s,

@@ -107,7 +107,9 @@ class MarkerContacts(Contacts[MarkerState]):
         )
         state.motion["last"] = NEVER
         known_s = 1e-9 * STILL_NS + delay_s + 2 * spec.period_ns / NS
-        self.hold(state, delay_s=known_s, decision_s={"touchdown": known_s, "liftoff": known_s + 1e-9 * LONGEST_NS})
+        self.set_state(
+            state, delay_s=known_s, decision_s={"touchdown": known_s, "liftoff": known_s + 1e-9 * LONGEST_NS}
+        )
         settled_s = settling(sos) / spec.rate_hz
         return self.contacts(spec, settled_s if self.reference else MEMORY_S)
 

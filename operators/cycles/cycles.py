@@ -118,7 +118,7 @@ class Cycles(Operator[CyclesState]):
             told=NEVER,
         )
         ahead_s = (LOOK_AHEAD + 1) / rate_hz
-        self.hold(state, delay_s=ahead_s, decision_s={"closed": ahead_s, "maxima": self.longest_s + ahead_s})
+        self.set_state(state, delay_s=ahead_s, decision_s={"closed": ahead_s, "maxima": self.longest_s + ahead_s})
         meta = {**spec.meta, "side": touch.meta.get("side", spec.meta.get("side", ""))}
         return CycleOutputs.specs(tuple(names), spec, CLOSED, self.longest_s, meta)
 

@@ -76,7 +76,7 @@ class LimbCycles(_Placed):
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "places", [[names.index(name) for name in mine] for mine in muscles.values()])
         state = LimbsState([part.state for part in parts], np.zeros((len(parts), len(self.inputs)), np.int64))
-        self.hold(state, delay_s=max(part.delay_s for part in parts), decision_s=parts[0].decision_s)
+        self.set_state(state, delay_s=max(part.delay_s for part in parts), decision_s=parts[0].decision_s)
         found = {limb: list(mine) for limb, mine in muscles.items()}
         named = {channel: muscle for mine in muscles.values() for channel, muscle in mine.items()}
         meta = {k: v for k, v in spec.meta.items() if k != "side"} | {"limbs": found, "muscles": named}

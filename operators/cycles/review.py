@@ -121,7 +121,7 @@ class CycleReview(Operator[ReviewState]):
             IN if self.trust_contacts else UNSAID, NEVER, FOREVER,
             Belonging.of(spec), names,
         )  # fmt: skip
-        self.hold(state, decision_s={"closed": 0.0, "judged": 0.0})
+        self.set_state(state, decision_s={"closed": 0.0, "judged": 0.0})
         units = ("ns", "ns", *(6 * [""]))
         return {
             "closed": specs["closed"],
@@ -129,7 +129,7 @@ class CycleReview(Operator[ReviewState]):
             "judged": StreamSpec((), JUDGED, units=units, meta=spec.meta),
         }
 
-    def words(self) -> tuple[str, ...]:
+    def annotations_understood(self) -> tuple[str, ...]:
         return LEAVE, USE
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:

@@ -109,7 +109,7 @@ class Stages(Operator[StagesState]):
             raise ParameterError("protocol", "", "stages with names")
         kind = np.dtype([*closed.dtype.descr, ("stage", "<U32"), ("speed_m_s", "<f8")])
         unit = 1 / 3.6 if speed is not None and speed.units[0] == "km/h" else 1.0
-        self.hold(
+        self.set_state(
             StagesState(
                 np.zeros(MOST, np.int64), np.full(MOST, np.nan), np.zeros(MOST, "<U32"), 0, 0, 0, np.full(128, -1), 0, NEVER, 0, 0, NEVER,
                 np.zeros(SPEEDS, np.int64), np.zeros(SPEEDS), 0, unit, np.empty(0, kind),
@@ -122,7 +122,7 @@ class Stages(Operator[StagesState]):
             "stages": StreamSpec((), STAGE, units=("ns", "", "", "m/s", "", ""), meta=closed.meta),
         }
 
-    def words(self) -> list[str]:
+    def annotations_understood(self) -> list[str]:
         led = [*(f"stage {stage.stage}" for stage in self.protocol), "next"] if self.protocol else []
         return [*led, "stage ", "end stage"]
 

@@ -115,7 +115,7 @@ class Envelope(Operator[EnvelopeState]):
             last=NEVER,
             limit=spec.period_ns + round(self.reset_gap_s * NS),
         )
-        self.hold(state, delay_s=filters.delay_s)
+        self.set_state(state, delay_s=filters.delay_s)
         made = {"envelope": {k: v for k, v in asdict(self).items() if k != "reset_gap_s"}, "normalisation": "none"}
         out = spec.derive(
             dtype=np.dtype(np.float64),

@@ -50,7 +50,7 @@ class Normalise(Operator[NormaliseState]):
         if self.method == "none":
             if self.reference:
                 raise ParameterError("reference", self.reference, "left out where `method` is none")
-            self.hold(NormaliseState(np.ones(spec.shape[0])))
+            self.set_state(NormaliseState(np.ones(spec.shape[0])))
             return {"out": spec.derive(dtype=np.dtype(np.float64), meta={**spec.meta, "normalisation": "none"})}
         if spec.meta.get("normalisation", "none") != "none":
             raise InputError("in", f"normalised already ({spec.meta['normalisation']})", "an envelope that is not")
@@ -61,7 +61,7 @@ class Normalise(Operator[NormaliseState]):
             reference = found.scale(self.method, spec)
         except CalibrationError as error:
             raise ParameterError("reference", self.reference, f"one for this envelope: {error}") from None
-        self.hold(NormaliseState(100.0 / reference))
+        self.set_state(NormaliseState(100.0 / reference))
         about = {
             "values": dict(zip(spec.channels, reference.tolist(), strict=True)),
             "unit": found.unit,
@@ -72,7 +72,7 @@ class Normalise(Operator[NormaliseState]):
         meta = {**spec.meta, "normalisation": self.method, "normalisation_reference": about}
         return {"out": spec.derive(dtype=np.dtype(np.float64), units=(METHODS[self.method],), meta=meta)}
 
-    def suits(self, session: Mapping[str, Any]) -> None:
+    def check_session(self, session: Mapping[str, Any]) -> None:
         """Refuse a reference of somebody else than the session's subject, where both are known."""
         if self.method == "none" or self.any_subject:
             return

@@ -139,7 +139,7 @@ class SignalQuality(Operator[QualityState]):
         n, c = round(self.window_s * rate_hz), spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(c)])
         bands = _weights(np.arange(n // 2 + 1, dtype=np.float64) * (rate_hz / n), self.mains_hz)
-        self.hold(
+        self.set_state(
             QualityState(
                 np.zeros((n, c)), np.zeros(n, np.int64), 0, np.zeros(c), np.hanning(n), bands, np.zeros((7, c)), np.zeros((3, c)), 0,
                 np.outer([np.inf, -np.inf], np.ones(c)), self._rest(names), np.full(c, np.inf), self._most_noise(spec),

@@ -55,7 +55,7 @@ class Bundle(Operator[BundleState]):
     orthogonal, what lies along the movement is taken off, which spans the same space and is the same every time.
     """
 
-    departures: ClassVar[dict[str, str]] = {"channels": "a frame with a bad value has no neighbours, and is none"}
+    exemptions: ClassVar[dict[str, str]] = {"channels": "a frame with a bad value has no neighbours, and is none"}
 
     takes = "rows"
     k: int = param(32, least=4, most=128, help="how many neighbours")
@@ -88,7 +88,7 @@ class Bundle(Operator[BundleState]):
             room=np.zeros((6, k)),
             ways=np.zeros((3, max(d, k))),
         )
-        self.hold(state, delay_s=self.ahead / rate_hz)
+        self.set_state(state, delay_s=self.ahead / rate_hz)
         return {"out": out.derive(meta={**spec.meta, "bundled": {"k": k, "variance": self.variance}})}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:

@@ -171,7 +171,7 @@ class Pose(_Seen):
             cm=CM[unit],
             learn=max(1, round(self.learn_s * (spec.rate_hz or 30.0))),
         )
-        self.hold(state)
+        self.set_state(state)
         object.__setattr__(self, "upward", up)
         mirror = [[f"{a}.{axis}", f"{b}.{axis}"] for a, b in pairs(shown) for axis in "xyz"]
         facts = {

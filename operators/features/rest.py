@@ -39,7 +39,7 @@ class SkipRest(Operator[RestState]):
     delay.
     """
 
-    departures: ClassVar[dict[str, str]] = {"channels": "rest is that of all channels together"}
+    exemptions: ClassVar[dict[str, str]] = {"channels": "rest is that of all channels together"}
     takes = "finite"
     moves: float = param(above=0.0, help="what moves less is at rest, in the signal's unit")
     window_s: float = param(2.0, above=0.0, help="for how long nothing must have moved")
@@ -52,7 +52,7 @@ class SkipRest(Operator[RestState]):
         seen = watch(spec, reset_gap_s=self.reset_gap_s)
         wide = (2, w, seen["width"])
         places = np.zeros((2, 3, seen["width"]), np.int64)
-        self.hold(
+        self.set_state(
             RestState(**seen, queue=np.zeros(wide), numbers=np.zeros(wide, np.int64), places=places, seen=0, dropped=0)
         )
         return {"out": out}

@@ -126,7 +126,7 @@ class Stack(Operator[StackState]):
             offsets=np.array([ahead - offset for offset in offsets], np.int64),
             past=np.zeros((2, ahead + 1), np.int64),
         )
-        self.hold(state, delay_s=ahead / rate_hz)
+        self.set_state(state, delay_s=ahead / rate_hz)
         names, units = flat_names(spec), flat_units(spec)
         made = flat.derive(
             shape=(len(offsets) * seen["width"],),

@@ -60,7 +60,7 @@ class Derivative(Filter[DerivativeState]):
     """
 
     delays: ClassVar[str] = "2 samples"
-    agrees: ClassVar[str] = "thesis 2.3, 2.8"
+    references: ClassVar[str] = "thesis 2.3, 2.8"
     reset_gap_s: float = reset_gap(0.0)
     kernel = five_point
 

@@ -129,7 +129,7 @@ class FillGaps(Operator[FillState]):
             stamps=np.zeros(0, np.int64),
             lost=0,
         )
-        self.hold(state, delay_s=self.limit_s)
+        self.set_state(state, delay_s=self.limit_s)
         return {"out": spec}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:

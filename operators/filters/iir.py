@@ -148,7 +148,7 @@ class Lowpass(_Sections):
     """
 
     delays: ClassVar[str] = "group delay at 0 Hz"
-    agrees: ClassVar[str] = "`scipy.signal.sosfilt`, every bit"
+    references: ClassVar[str] = "`scipy.signal.sosfilt`, every bit"
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
     order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
@@ -167,7 +167,7 @@ class Highpass(_Sections):
     """Butterworth high-pass: removes offset and drift, e.g. motion artefacts of EMG below 10-20 Hz. Stamps unchanged, no delay declared."""
 
     delays: ClassVar[str] = "none; stamps stay"
-    agrees: ClassVar[str] = "`sosfilt`, every bit"
+    references: ClassVar[str] = "`sosfilt`, every bit"
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
     order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
     start: Literal["zero", "first"] = param("zero", help="what came before: zeros, or the first sample's value")
@@ -189,7 +189,7 @@ class Bandpass(_Sections):
     """
 
     delays: ClassVar[str] = "group delay at √(low · high)"
-    agrees: ClassVar[str] = "`sosfilt`, every bit"
+    references: ClassVar[str] = "`sosfilt`, every bit"
     low_hz: float = param(above=0.0, help="lower edge, 3 dB down")
     high_hz: float = param(above=0.0, help="upper edge, 3 dB down")
     order: int = param(4, least=1, most=20, help="of each flank: each adds 6 dB per octave")
@@ -216,7 +216,7 @@ class Notch(_Sections):
     """
 
     delays: ClassVar[str] = "none; stamps stay"
-    agrees: ClassVar[str] = "`iirnotch` through `sosfilt`, every bit"
+    references: ClassVar[str] = "`iirnotch` through `sosfilt`, every bit"
     notch_hz: float = param(50.0, above=0.0, help="what is removed, e.g. 50 or 60 Hz mains")
     width_hz: float = param(2.0, above=0.0, help="width of each notch, 3 dB down to 3 dB down")
     harmonics: int = param(1, least=1, help="how many multiples of notch_hz are removed, itself included")

@@ -62,7 +62,7 @@ class OneEuro(Filter[SlopeState]):
     """
 
     delays: ClassVar[str] = "none declared; lags by 1 / (2 pi (cutoff_hz + beta speed))"
-    agrees: ClassVar[str] = "Casiez 2012, with the exact share of a period"
+    references: ClassVar[str] = "Casiez 2012, with the exact share of a period"
     cutoff_hz: float = param(2.0, above=0.0, help="cut-off at rest")
     beta: float = param(20.0, least=0.0, help="by how many Hz it rises for each unit per second")
     slope_hz: float = param(1.0, above=0.0, help="cut-off of the speed")

@@ -48,7 +48,7 @@ class Predict(Filter[SlopeState]):
     """
 
     delays: ClassVar[str] = "none; takes back `ahead_s` of lag"
-    agrees: ClassVar[str] = "linear extrapolation"
+    references: ClassVar[str] = "linear extrapolation"
     ahead_s: float = param(1 / 30, least=0.0, most=0.5, help="how far ahead: one frame at 30 Hz")
     tau_s: float = param(0.05, above=0.0, help="over how long the speed is smoothed")
     kernel = ahead

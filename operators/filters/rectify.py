@@ -27,7 +27,7 @@ def magnitudes(x: Samples, out: Samples) -> None:
 class Rectify(SampleWise[None]):
     """Every number's absolute value, as float64. No delay; works at any rate, and passes gaps on as they are."""
 
-    agrees: ClassVar[str] = "thesis 6.2.3"
+    references: ClassVar[str] = "thesis 6.2.3"
     kernel = magnitudes
 
     def begin(self, spec: StreamSpec) -> None:

@@ -115,7 +115,7 @@ class Resample(Operator[ResampleState]):
     """
 
     delays: ClassVar[str] = "`half_length` samples of the slower rate"
-    agrees: ClassVar[str] = "`scipy.signal.resample_poly`, to rounding"
+    references: ClassVar[str] = "`scipy.signal.resample_poly`, to rounding"
     takes = "rows"
     contiguous = True
     rate_hz: float = param(above=0.0, help="rate that is wanted")
@@ -148,7 +148,7 @@ class Resample(Operator[ResampleState]):
             ring=np.zeros((2 * size, c)),
             places=np.array([0, lead, NEVER], np.int64),
         )
-        self.hold(state, delay_s=delay_s)
+        self.set_state(state, delay_s=delay_s)
         settling_s = spec.settling_s + half / up / rate_hz
         return {"out": spec.derive(rate_hz=rate_hz * up / down, settling_s=settling_s)}
 

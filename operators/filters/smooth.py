@@ -66,7 +66,7 @@ class Binomial(Filter[BinomialState]):
     """
 
     delays: ClassVar[str] = "(window - 1) / 2 samples"
-    agrees: ClassVar[str] = "thesis 2.6.2"
+    references: ClassVar[str] = "thesis 2.6.2"
     window: int = param(16, least=1, most=1000, help="how many samples are weighed")
     kernel = weigh
 

@@ -123,7 +123,7 @@ class Threshold(Operator[ThresholdState]):
             peak=np.zeros(1),
         )
         told_s = self.min_duration_s + spec.period_ns / NS
-        self.hold(state, decision_s={"onset": told_s, "interval": spec.period_ns / NS})
+        self.set_state(state, decision_s={"onset": told_s, "interval": spec.period_ns / NS})
         name = names_of(spec)[channel]
         unit = spec.units[channel % len(spec.units)]
         about: dict[str, Any] = {"settling_s": spec.settling_s, "meta": {**spec.meta, "channel": name}}

@@ -46,7 +46,7 @@ class TurnAxes(SampleWise[TurnAxesState]):
     array([[[ 1.,  3., -2.]]])
     """
 
-    departures: ClassVar[dict[str, str]] = {"channels": "coordinates of a point change places"}
+    exemptions: ClassVar[dict[str, str]] = {"channels": "coordinates of a point change places"}
 
     up: Up = param("y", help="the axis that points up in what comes out")
     forward: Literal["", "x", "y", "z", "-x", "-y", "-z"] = param(

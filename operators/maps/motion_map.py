@@ -334,7 +334,7 @@ class MotionMap(Operator[MotionMapState]):
             pairs=np.zeros((3, k, c)),
             small=np.zeros((3, k + 2, k + 2)),
         )
-        self.hold(state)
+        self.set_state(state)
         made = spec.derive(
             shape=(k,),
             dtype=np.dtype(np.float64),

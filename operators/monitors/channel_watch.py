@@ -103,7 +103,7 @@ class ChannelWatch(Operator[ChannelWatchState]):
         c = spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(c)])
         square = (c, c)
-        self.hold(
+        self.set_state(
             ChannelWatchState(
                 0, NEVER, np.full(c, np.nan), 0, np.zeros(c), np.zeros(square), np.zeros(square), np.zeros(c), nothing(c),
                 np.zeros(square, np.int64), np.zeros(square, np.int64), max(2, round(self.window_s * rate_hz)), names,

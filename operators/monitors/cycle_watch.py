@@ -80,7 +80,7 @@ class CycleWatch(Operator[CycleWatchState]):
             )
         longest_s = longest_cycle_s(specs["closed"])
         silent_s = max(self.first_s, self.silent_cycles * longest_s)
-        self.hold(
+        self.set_state(
             CycleWatchState(
                 NEVER,
                 NEVER,

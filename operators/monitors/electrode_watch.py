@@ -51,7 +51,7 @@ class ElectrodeWatch(Operator[ElectrodeState]):
             raise InputError("in", spec.describe(), "signal quality, as operators.emg.quality.SignalQuality gives")
         nothing = np.zeros(0, np.int64)
         window_s = float(spec.meta.get("window_s", 0.0))
-        self.hold(
+        self.set_state(
             ElectrodeState([], nothing, nothing.copy(), nothing.copy(), []),
             decision_s={"out": window_s} if window_s else None,
         )

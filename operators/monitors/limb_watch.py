@@ -47,7 +47,7 @@ class LimbWatch(OnePerLimb[CycleWatch]):
             part.open(specs)
         object.__setattr__(self, "parts", parts)
         state = LimbsState([part.state for part in parts], np.zeros((len(parts), 2), np.int64))
-        self.hold(state, decision_s=parts[0].decision_s)
+        self.set_state(state, decision_s=parts[0].decision_s)
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=closed.meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

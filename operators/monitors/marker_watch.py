@@ -79,7 +79,7 @@ class MarkerWatch(Operator[MarkerWatchState]):
         )  # fmt: skip
         state.tracks["leapt"] = state.tracks["at"] = NEVER
         state.bones["off"] = state.bones["right"] = NEVER
-        self.hold(state, decision_s={"out": CALM_S + 1 / spec.rate_hz})
+        self.set_state(state, decision_s={"out": CALM_S + 1 / spec.rate_hz})
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

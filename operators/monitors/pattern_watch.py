@@ -85,7 +85,7 @@ class PatternWatch(Operator[PatternWatchState]):
         spec = check_cycles(specs)
         m, limbs, longest_s = spec.shape[1], Belonging.of(spec), longest_cycle_s(specs["closed"])
         ways = max(1, len(limbs.names))
-        self.hold(
+        self.set_state(
             PatternWatchState(
                 Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((self.latest, POINTS, m)),
                 np.zeros(m, np.int64), np.full(m, -1), np.zeros(m, np.int64), np.zeros((2, 2, m), np.int64),

@@ -124,7 +124,7 @@ class TimingWatch(Operator[TimingWatchState]):
             max(1, len(limbs.names)),
             known_muscles(spec, len(limbs.names), self.muscles or {}, textbook=self.textbook),
         )
-        self.hold(
+        self.set_state(
             TimingWatchState(
                 Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((ways, self.latest)),
                 np.zeros(ways, np.int64), np.zeros((ways, 3)), np.zeros((self.latest, POINTS, m)), np.zeros(m, np.int64),

@@ -110,7 +110,7 @@ class Neighbours(Operator[NeighboursState]):
             band=round(self.band_s * rate_hz),
             radius=np.nan if self.within is None else float(self.within),
         )
-        self.hold(state)
+        self.set_state(state)
         unit = spec.units[0] if len(set(spec.units)) == 1 else ""
         return {
             "nearest": spec.derive(shape=(self.k,), dtype=NEAREST, channels=(), units=("", "ns", unit), channel_axis=0),

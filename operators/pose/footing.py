@@ -164,7 +164,7 @@ class Footing(_Standing):
         still = np.tile([1.0, 0.0, 0.0, 0.0], (len(BONES), 1))
         memory = np.zeros(6)
         memory[ASKED], memory[SCALE] = -1.0, 1.0
-        self.hold(
+        self.set_state(
             FootingState(
                 memory, np.zeros(3), still[0].copy(), still.copy(), still.copy(), still.copy(), still.copy(),
                 tree.at_rest.copy(), np.ones(wanted[0]), np.concatenate([tree.offsets[0], still.ravel()]),

@@ -115,7 +115,7 @@ class WholePose(_Solving):
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "upward", own.up)
         object.__setattr__(self, "needed", round(self.calibrate_s * (spec.rate_hz or 30.0)))
-        self.hold(state)
+        self.set_state(state)
         present = np.array([name in found for name in NAMES])
         self._bind(columns, np.array(axes), size * np.array(signs), present)
         meta = {"landmarks": {name: list(parts) for name, parts in found.items()}}

@@ -75,7 +75,7 @@ class Segment(Operator[SegmentState]):
     optional: ClassVar[tuple[str, ...]] = ("mirrored",)
     takes = "rows"
     outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
-    departures: ClassVar[dict[str, str]] = {
+    exemptions: ClassVar[dict[str, str]] = {
         "time": "what the end of the stream forces to close is stamped with the newest frame, so time is promised up to there only",
         "channels": "all features of a frame make one pose: a bad one is left out; the frame has no neighbours with most of them bad",
     }
@@ -100,7 +100,7 @@ class Segment(Operator[SegmentState]):
         spec = specs["in"]
         frames = self._frames(spec)
         firsts = _firsts(spec, specs["mirrored"]) if "mirrored" in specs else None
-        self.hold(
+        self.set_state(
             SegmentState(
                 **watch(spec, reset_gap_s=self.reset_gap_s),
                 memory=allocate(spec.shape[0], frames, self.radius, self.radius_share, firsts),

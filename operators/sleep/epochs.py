@@ -82,7 +82,7 @@ class Epochs(Operator[EpochsState]):
         most = int(self.reset_gap_s * NS) // epoch_ns
         sums = np.zeros((4, spec.shape[0]))
         needed = max(1.0, self.least_seen * expected - 1e-6)
-        self.hold(
+        self.set_state(
             EpochsState(epoch_ns, round(self.offset_s * NS), sums, NEVER, 0, most, needed, 0), delay_s=self.epoch_s
         )
         named = f"{self.measure} of {1 / spec.rate_hz:g} s" if spec.rate_hz else self.measure

@@ -46,7 +46,7 @@ class GentleAlarm(Operator[GentleAlarmState]):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("epochs",)
-    departures: ClassVar[dict[str, str]] = {}
+    exemptions: ClassVar[dict[str, str]] = {}
 
     at: str = param("07:00", help="the time to be up at, HH:MM")
     timezone: str = param("UTC", help="in which it is meant, e.g. Europe/Berlin")
@@ -62,7 +62,7 @@ class GentleAlarm(Operator[GentleAlarmState]):
         self._zone()
         self._clock()
         self._weekdays()
-        self.hold(GentleAlarmState(NEVER, False, 0))
+        self.set_state(GentleAlarmState(NEVER, False, 0))
         return {"out": StreamSpec((), ALARM, units=("ns", "ns", ""), meta=dict(spec.meta))}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:

@@ -64,7 +64,7 @@ class Nights(Operator[NightsState]):
     inputs: ClassVar[tuple[str, ...]] = ("bed", "lights")
     acts: ClassVar[tuple[str, ...]] = ("lights",)
     optional: ClassVar[tuple[str, ...]] = ("lights",)
-    departures: ClassVar[dict[str, str]] = {}
+    exemptions: ClassVar[dict[str, str]] = {}
 
     apart_h: float = param(1.5, above=0.0, most=8.0, help="this long out of bed ends a night")
     rejoin_min: float = param(
@@ -87,7 +87,7 @@ class Nights(Operator[NightsState]):
                 "longest_h", self.longest_h, f"above shortest_h, {self.shortest_h:g}: nothing else is a night"
             )
         state = NightsState(NEVER, "", NEVER, "", NEVER, NEVER, False, 0, NEVER, NEVER, 0)
-        self.hold(state, decision_s={"out": max(3600 * self.apart_h, 60 * self.rejoin_min)})
+        self.set_state(state, decision_s={"out": max(3600 * self.apart_h, 60 * self.rejoin_min)})
         return {"out": StreamSpec((), NIGHTS, units=("ns", "ns", "min", "", ""), meta=dict(bed.meta))}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:

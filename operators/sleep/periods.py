@@ -50,7 +50,7 @@ class SleepPeriods(Operator[PeriodsState]):
     def open(self, specs: Specs) -> Specs:
         spec = scored(specs["in"])
         epoch_s = float(spec.meta.get("epoch_s", 0.0))
-        self.hold(PeriodsState(0, 0, NEVER, 0, NEVER, 0), decision_s={"out": 60 * self.wake_min + epoch_s})
+        self.set_state(PeriodsState(0, 0, NEVER, 0, NEVER, 0), decision_s={"out": 60 * self.wake_min + epoch_s})
         units = ("ns", "ns", "min", "")
         return {"out": StreamSpec((), PERIOD, units=units, settling_s=spec.settling_s, meta=spec.meta)}
 

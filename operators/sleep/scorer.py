@@ -125,7 +125,7 @@ class SleepScorer(Operator[ScorerState]):
         )
         reach = int(np.ceil(REACH_MIN * 60 / epoch_s)) + 2 if self.rescore else 0
         n = made.past + 1 + made.future + 2 * reach
-        self.hold(
+        self.set_state(
             ScorerState(
                 EpochScores.none(made, self.rescore, self.least_seen, spec.period_ns, n), channel,
                 int(self.reset_gap_s * NS) // spec.period_ns, 0, 0,

@@ -98,7 +98,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
 
     inputs: ClassVar[tuple[str, ...]] = ("epochs", "lights", "periods")
     optional: ClassVar[tuple[str, ...]] = ("lights", "periods")
-    departures: ClassVar[dict[str, str]] = {
+    exemptions: ClassVar[dict[str, str]] = {
         "time": "a recording's end is its last night's end; until it comes nothing is promised beyond the last epoch"
     }
 
@@ -118,7 +118,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
         if not epoch_s > 0:
             raise InputError("epochs", "without epoch_s in its meta", "scored epochs of a known length")
         n = int(np.ceil(self.longest_h * 3600 / epoch_s))
-        self.hold(
+        self.set_state(
             SleepStatisticsState(
                 ScoredEpochs.none(round(epoch_s * NS), n), np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]),
                 NEVER, NEVER, bed, NEVER, False,

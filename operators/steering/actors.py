@@ -128,7 +128,7 @@ class Actors(_Cast):
         object.__setattr__(self, "wanted", max(2.0, self.learn_s * (spec.rate_hz or 30.0)))
         object.__setattr__(self, "usual", learned.usual)
         object.__setattr__(self, "spread", learned.spread)
-        self.hold(ActorsState(np.zeros((len(rows), 7)), learned.usual.copy()))
+        self.set_state(ActorsState(np.zeros((len(rows), 7)), learned.usual.copy()))
         settling_s = spec.settling_s + self.learn_s
         names, m = learned.markers, len(learned.markers)
         meta = {key: value for key, value in in_axes(spec, axes).items() if key != "skeleton"}

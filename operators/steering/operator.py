@@ -121,7 +121,7 @@ class SteerMesh(_Steered):
         middles = [part.learned.centres.mean(axis=0) for part in learned.parts]
         told = np.zeros(learned.width) if learned.graph else np.zeros(0)
         object.__setattr__(self, "room", (np.zeros(3 * m), told, np.zeros((3, 3)), predicted, middles))
-        self.hold(
+        self.set_state(
             SteerMeshState(
                 np.zeros(m, np.bool_),
                 np.zeros((m, 3)),

@@ -78,7 +78,7 @@ class StepActivity(Operator[StepActivityState]):
         if not spec.is_signal or not acceleration:
             raise InputError("signal", spec.describe(), "the signal that steps are found in, in m/s2 or g")
         channels = np.array(acceleration)[: spec.shape[0]]
-        self.hold(StepActivityState(channels, UNKNOWN, NEVER, NEVER, NEVER, NEVER, 0, NEVER, 0.0, NEVER, 0, NEVER))
+        self.set_state(StepActivityState(channels, UNKNOWN, NEVER, NEVER, NEVER, NEVER, 0, NEVER, 0.0, NEVER, 0, NEVER))
         return {"activity": StreamSpec((), CHANGE, units=CHANGE_UNITS, meta=steps.meta)}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

@@ -85,7 +85,7 @@ class StepClassifier(Operator[StepClassifierState]):
             raise InputError("in", f"{len(model.classes)} classes", f"at most {MOST_CLASSES}")
         model.check_steps(spec, self.model or SHIPPED.name)
         k = len(model.classes)
-        self.hold(
+        self.set_state(
             StepClassifierState(
                 model.forest, model.features, model.classes, float(model.header["uncertain_below"]),
                 model.header.get("target") == "person", np.zeros(k), np.zeros(k), 0,

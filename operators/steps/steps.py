@@ -108,7 +108,7 @@ class Steps(Operator[StepsState]):
             raise ParameterError("shortest_s", self.shortest_s, f"below longest_s ({self.longest_s})")
         picked = acceleration + angular
         keep = int((self.longest_s + 2.0) * spec.rate_hz) + 8
-        self.hold(
+        self.set_state(
             StepsState(
                 np.array([FACTORS[units[i]] for i in picked]), np.array(picked),
                 np.ascontiguousarray(butter(ORDER, CUTOFF_HZ, fs=spec.rate_hz, output="sos")), np.zeros((1, 2)), fresh_track(),

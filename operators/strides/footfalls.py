@@ -90,7 +90,7 @@ class Footfalls(Operator[FootfallState]):
             names, np.zeros((len(names), 2, KEPT), np.int64), np.zeros((len(names), 2), np.int64),
             np.zeros((KEPT, 2), np.int64), 0, 0, 0,
         )  # fmt: skip
-        self.hold(state, delay_s=self.late_s, decision_s={"limbs": self.late_s, "gait": self.late_s})
+        self.set_state(state, delay_s=self.late_s, decision_s={"limbs": self.late_s, "gait": self.late_s})
         when, meta = ("ns", "ns", ""), specs["touchdown"].meta
         return {
             "limbs": StreamSpec((), FOOTFALL, units=(*when, "", "%", "%"), meta=meta),

@@ -118,7 +118,7 @@ class StrideShape(Operator[StrideState]):
             lifts=np.zeros((n, KEPT), np.int64),
             lifted=np.zeros(n, np.int64),
         )
-        self.hold(state, delay_s=self.late_s, decision_s={"out": self.late_s})
+        self.set_state(state, delay_s=self.late_s, decision_s={"out": self.late_s})
         meta = {**touch.meta, "limb_names": list(self.limbs)}
         return {"out": StreamSpec((), STRIDE, units=("ns", "ns", "", "", "m", "m", "%"), meta=meta)}
 

@@ -96,7 +96,7 @@ class Align(_Joining):
         object.__setattr__(self, "turns", turns)
         waits = [lane.furthest / NS for lane in (lanes if self.rate_hz else lanes[1:])]
         state = AlignState(lanes, until=NEVER, anchor=NEVER, row=0, missing=0)
-        self.hold(state, delay_s=0.0 if self.method == "hold" else max(waits, default=0.0))
+        self.set_state(state, delay_s=0.0 if self.method == "hold" else max(waits, default=0.0))
         width = lanes[-1].first + lanes[-1].data.shape[1]
         shape = (width // 3, 3) if points else (width,)
         object.__setattr__(self, "shape", shape)

@@ -48,7 +48,7 @@ class Gate(_Gated):
 
     inputs: ClassVar[tuple[str, ...]] = ("pulses", "in")
     acts: ClassVar[tuple[str, ...]] = ("in",)
-    departures: ClassVar[dict[str, str]] = {"infinity": "what passes is not looked at"}
+    exemptions: ClassVar[dict[str, str]] = {"infinity": "what passes is not looked at"}
 
     start: str = param("", help="the marker that opens; left out: any pulse")
     stop: str = param("", help="the marker that closes; left out: any pulse")
@@ -66,7 +66,7 @@ class Gate(_Gated):
             name = "start" if self.start else "stop"
             raise ParameterError(name, self.start or self.stop, "left out: these pulses have no field `text`")
         object.__setattr__(self, "nothing", empty(specs["in"], 0).data)
-        self.hold(GateState(False, 0, NEVER, 0))
+        self.set_state(GateState(False, 0, NEVER, 0))
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

@@ -45,7 +45,7 @@ class Pause(_Gate):
         if not (switch.is_signal and switch.shape == (1,)) and "on" not in (switch.dtype.names or ()):
             raise InputError("switch", switch.describe(), "a signal of one channel, or events with a field `on`")
         object.__setattr__(self, "nothing", empty(specs["in"], 0).data)
-        self.hold(PauseState(False, 0))
+        self.set_state(PauseState(False, 0))
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

@@ -37,11 +37,11 @@ class Series:
         time = np.concatenate([np.empty(0, np.int64), *(chunk.time for chunk in kept)])
         data = np.concatenate([np.empty((0, *spec.shape), spec.dtype), *(chunk.data for chunk in kept)])
         lost = np.zeros(len(time), np.int64)
-        at = owed = 0
+        at = pending_gap = 0
         for chunk in kept:
-            owed = add_lost(owed, chunk.lost)
+            pending_gap = add_lost(pending_gap, chunk.lost)
             if len(chunk):
-                lost[at], owed = owed, 0
+                lost[at], pending_gap = pending_gap, 0
                 at += len(chunk)
         return cls(name, spec, time, data, lost if lost.any() else None)
 

@@ -48,7 +48,7 @@ class LoneFeed:
 
     def ready(self) -> None: ...
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         return None
 
     def identify(self, device: str, **facts: str | float) -> None:

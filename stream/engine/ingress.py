@@ -21,7 +21,7 @@ from kinegraph.stream.engine.flow.edge import CallSlot, LiveEdge
 from kinegraph.stream.engine.flow.queues import BoundedQueue, ReadyQueue
 from kinegraph.stream.engine.pipeline import Pipeline
 from kinegraph.stream.engine.session_log import PriorSession, SessionLog
-from kinegraph.stream.engine.supervisor import REST_S, Inline, Runner, StartBarrier
+from kinegraph.stream.engine.supervisor import REST_S, Inline, SourceSupervisor, StartBarrier
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.manual import Value
 from kinegraph.stream.system.clock import SessionClock
@@ -61,38 +61,38 @@ class IngressPort:
     watermark  the stream is complete up to this time; what comes later and is older is dropped
     last       when its last chunk came (monotonic s)
     late       samples dropped because they came too late
-    owed       what is missing before the next sample, beyond what its chunk says
-    awaited    whether anybody waits for what time brings here; where nobody does, only samples are let in
-    watched    whether it is still to be seen to that stamps do not lie ahead of the session's clock
+    pending_gap what is missing before the next sample, beyond what its chunk says
+    has_readers whether anybody waits for what time brings here; where nobody does, only samples are let in
+    checks_clock whether it is still to be seen to that stamps do not lie ahead of the session's clock
     follows    whether it is a background stream of a session none of whose sources is live
     gathers    whether its source gathers chunks
     may_join   whether chunks may enter together: when a file's do depends on the data alone
     """
 
-    runner: Runner
+    supervisor: SourceSupervisor
     output: str
     edge: LiveEdge
     number: int = -1
     watermark: int = NEVER
     last: float = field(default_factory=time.monotonic)
     late: int = 0
-    owed: int = 0
+    pending_gap: int = 0
     silent: bool = False
     stale: bool = False
     follows: bool = False
     gathers: bool = False
-    awaited: bool = field(init=False)
-    watched: bool = field(init=False)
+    has_readers: bool = field(init=False)
+    checks_clock: bool = field(init=False)
     may_join: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        self.awaited, self.watched = bool(self.edge.readers), self.runner.live
-        self.may_join = self.runner.live and self.queue.policy == "block"
+        self.has_readers, self.checks_clock = bool(self.edge.readers), self.supervisor.live
+        self.may_join = self.supervisor.live and self.queue.policy == "block"
         self.queue.owner = self
 
     @property
     def queue(self) -> BoundedQueue:
-        return self.runner.queues[self.output]
+        return self.supervisor.queues[self.output]
 
     @property
     def stream(self) -> str:
@@ -103,21 +103,21 @@ class IngressPort:
         return self.watermark == FOREVER
 
     @property
-    def minded(self) -> bool:
+    def expects_data(self) -> bool:
         """Whether it matters that nothing comes: not of people's words that nobody waits for."""
-        return not self.ended and (self.awaited or not self.runner.source.background)
+        return not self.ended and (self.has_readers or not self.supervisor.source.background)
 
     def nothing_for(self, age_s: float, now: int, report: Callable[..., None]) -> Chunk | None:
         """At `now` (ns), nothing has come for `age_s`. Once that is longer than the stated patience: the chunk that says that nothing
         happened, so that nobody waits; the alarm is raised after `stale_s`. What waits in the queue has come."""
-        options = self.runner.node.options
-        if not self.minded or self.queue.depth:
+        options = self.supervisor.node.options
+        if not self.expects_data or self.queue.depth:
             return None
         if 0 < options.stale_s < age_s and not self.stale:
             self.stale = True
             report("stream is stale", stream=self.stream, age_s=round(age_s, 2))
         until = now - int(options.patience_s * NS)
-        if not self.awaited or not 0 < options.patience_s < age_s or until <= self.watermark:
+        if not self.has_readers or not 0 < options.patience_s < age_s or until <= self.watermark:
             return None
         if not self.silent:
             self.silent = True
@@ -128,7 +128,7 @@ class IngressPort:
     def tell(self, chunk: Chunk, late: int, ahead_ns: int, report: Callable[..., None]) -> None:
         """Report samples that came too late, and, once, stamps that lie ahead of the clock."""
         if ahead_ns:
-            self.watched = False
+            self.checks_clock = False
             hint = "Feed.now() and devices.clocks give stamps of the session's clock"
             report("stamps lie ahead of the clock", stream=self.stream, ahead_s=round(ahead_ns / NS, 1), hint=hint)
         if late:
@@ -137,11 +137,11 @@ class IngressPort:
             other = {"hint": units} if chunk.time[-1] < LONG_AGO else {}
             report("late samples dropped", stream=self.stream, samples=late, at=utc(int(chunk.time[0])), **other)
 
-    def at_ease(self, age_s: float) -> bool:
+    def is_idle(self, age_s: float) -> bool:
         """Whether nothing becomes due within `REST_S`, after nothing has come for `age_s`."""
-        options = self.runner.node.options
-        waits_s = (options.patience_s if self.awaited else 0.0, 0.0 if self.stale else options.stale_s)
-        return not self.minded or all(age_s + REST_S < wait_s for wait_s in waits_s if wait_s)
+        options = self.supervisor.node.options
+        waits_s = (options.patience_s if self.has_readers else 0.0, 0.0 if self.stale else options.stale_s)
+        return not self.expects_data or all(age_s + REST_S < wait_s for wait_s in waits_s if wait_s)
 
 
 class DataTime:
@@ -159,12 +159,12 @@ class DataTime:
     def __init__(self, ports: Sequence[IngressPort], clock: SessionClock) -> None:
         self.newest = self._due = NEVER
         self.clock = clock
-        lasting = [port for port in ports if not port.runner.source.background]
-        alone = bool(lasting) and not any(port.runner.live for port in lasting)
-        self.followers = [port for port in ports if alone and port.runner.source.background]
+        lasting = [port for port in ports if not port.supervisor.source.background]
+        alone = bool(lasting) and not any(port.supervisor.live for port in lasting)
+        self.followers = [port for port in ports if alone and port.supervisor.source.background]
         self._early: list[tuple[IngressPort, Chunk, int]] = []
         for port in self.followers:
-            port.follows, port.watched, port.runner.now = True, False, self.now
+            port.follows, port.checks_clock, port.supervisor.now = True, False, self.now
 
     def now(self) -> int:
         """The session's time: the data's where no source is live, else the clock's."""
@@ -193,7 +193,7 @@ class DataTime:
                 yield from self.early(chunk.time.item(0) if len(chunk.time) else until)
             self._due = until + FOLLOWED_NS
             for follower in self.followers:
-                if follower.awaited and not follower.ended:
+                if follower.has_readers and not follower.ended:
                     yield follower, empty(follower.edge.spec, until), arrival
         if until != FOREVER and until > self.newest:
             self.newest = until
@@ -223,7 +223,7 @@ class Bursts:
         """From now on `gather` takes what the source gives; the graph's thread is woken to look after it."""
         with self._lock:
             port.gathers = True
-            port.runner.inline[port.output] = gather
+            port.supervisor.inline[port.output] = gather
             if not any(port is other for other in self.ports):
                 self.ports.append(port)
                 self._ready.put(None)
@@ -254,7 +254,7 @@ class Ingress:
     def __init__(
         self,
         ready: ReadyQueue,
-        runners: Sequence[Runner],
+        supervisors: Sequence[SourceSupervisor],
         pipeline: Pipeline,
         session_log: SessionLog,
         clock: SessionClock,
@@ -262,20 +262,24 @@ class Ingress:
     ) -> None:
         """`ready` holds what waits, also what workers send home; `fail` takes what operators raise on a source's thread."""
         self._ready, self._log, self._clock, self._fail = ready, session_log, clock, fail
-        self._runners, self._slot = runners, pipeline.slots[""]
+        self._supervisors, self._slot = supervisors, pipeline.slots[""]
         self._put_aside: list[BoundedQueue] = []
         self.bursts = Bursts(ready)
         self._closed = self.over = False
         self.turn = GraphTurn()
-        self.ports = [IngressPort(r, o, pipeline.entries[queue.name]) for r in runners for o, queue in r.queues.items()]
+        self.ports = [
+            IngressPort(r, o, pipeline.entries[queue.name]) for r in supervisors for o, queue in r.queues.items()
+        ]
         self.time = DataTime(self.ports, clock)
-        self._start: StartBarrier[IngressPort] = StartBarrier(runners, [port.runner for port in self.time.followers])
+        self._start: StartBarrier[IngressPort] = StartBarrier(
+            supervisors, [port.supervisor for port in self.time.followers]
+        )
         for port in self.ports:
             port.queue.arrival_of = clock.at
             port.queue.on_drop = _dropped(session_log, port.stream)
-            port.runner.inline[port.output] = self.inline(port)
-        for runner in runners:
-            runner.awaited = any(port.awaited for port in self.ports if port.runner is runner)
+            port.supervisor.inline[port.output] = self.inline(port)
+        for supervisor in supervisors:
+            supervisor.has_readers = any(port.has_readers for port in self.ports if port.supervisor is supervisor)
 
     def declare(self, prior: PriorSession | None) -> None:
         """Name the streams of the input log, and go on where a session was broken off."""
@@ -285,15 +289,15 @@ class Ingress:
             if prior and prior.checkpoint:
                 port.watermark = prior.checkpoint.promised.get(port.stream, NEVER)
         if prior:
-            self._start.excuse([port.runner for port in self.ports if prior.recorded(port.stream)])
+            self._start.excuse([port.supervisor for port in self.ports if prior.recorded(port.stream)])
 
     def tell(self, node: str, text: str) -> None:
         """Give a source what a person typed for it; raises KinegraphError if it cannot be."""
-        for runner in self._runners:
-            if runner.node.name == node:
-                if isinstance(runner.source, Value):
-                    runner.source.accepts(text)
-                runner.mailbox.put(text)
+        for supervisor in self._supervisors:
+            if supervisor.node.name == node:
+                if isinstance(supervisor.source, Value):
+                    supervisor.source.accepts(text)
+                supervisor.mailbox.put(text)
                 return
         raise KinegraphError(f"there is no source {node!r} to tell {text!r}")
 
@@ -340,7 +344,7 @@ class Ingress:
             elif self._start.done:
                 self.enter(port, *item)
             else:
-                self._let_in(self._start.pass_on(port, port.runner, *item))
+                self._let_in(self._start.pass_on(port, port.supervisor, *item))
             self._slot.port = None
 
     def enter_together(self, port: IngressPort) -> int:
@@ -354,7 +358,14 @@ class Ingress:
         return sum(self._admit(*entry) for entry in self.time.entering(port, chunk, arrival))
 
     def _admit(self, port: IngressPort, chunk: Chunk, arrival: int, joined: bool = False) -> int:
-        verdict = admit(chunk, port.watermark, port.owed, arrival, awaited=port.awaited, watched=port.watched)
+        verdict = admit(
+            chunk,
+            port.watermark,
+            port.pending_gap,
+            arrival,
+            has_readers=port.has_readers,
+            checks_clock=port.checks_clock,
+        )
         port.last = time.monotonic()
         port.silent = port.stale = False
         if verdict.late or verdict.ahead_ns:
@@ -363,13 +374,13 @@ class Ingress:
         if admitted is None:
             return 0
         if len(admitted.time):
-            port.owed = 0
+            port.pending_gap = 0
         port.watermark = admitted.until
         self._log.enter(port.number, admitted, arrival, joined)
         start = perf_counter_ns()
         end = port.edge.send(admitted, start)
         if admitted.until == FOREVER:
-            lasting = [p for p in self.ports if not p.runner.source.background]
+            lasting = [p for p in self.ports if not p.supervisor.source.background]
             self.over = bool(lasting) and all(p.ended for p in lasting)
         return end - start
 
@@ -389,7 +400,7 @@ class Ingress:
             self.enter(*entry)
         self.turn.open = self._start.done and not self._closed
 
-    def pump(self) -> None:
+    def drain_ready(self) -> None:
         """Take what workers send home; chunks of sources are put aside until the workers are at rest."""
         while True:
             try:
@@ -402,18 +413,18 @@ class Ingress:
                 elif (item := token.take()) is not None:
                     token.owner(item[0], perf_counter_ns())
 
-    def forgive(self, now: float, held_s: float) -> None:
+    def excuse_pause(self, now: float, held_s: float) -> None:
         """The graph was held up for `held_s`: that is no silence of the sources, whose chunks may come just after."""
-        for runner in self._runners:
-            runner.last_alive = min(runner.last_alive + held_s, now)
+        for supervisor in self._supervisors:
+            supervisor.last_alive = min(supervisor.last_alive + held_s, now)
         for port in self.ports:
             port.last = min(port.last + held_s, now)
 
-    def at_ease(self, now: float) -> bool:
+    def is_idle(self, now: float) -> bool:
         """Whether no source needs to be looked at soon."""
-        return self._start.done and all(p.runner.at_ease(now) and p.at_ease(now - p.last) for p in self.ports)
+        return self._start.done and all(p.supervisor.is_idle(now) and p.is_idle(now - p.last) for p in self.ports)
 
-    def look_after(self, now: float) -> None:
+    def tick(self, now: float) -> None:
         """At `now` (monotonic s), on the graph's turn: the common start's deadlines, and what time has passed on silent sources."""
         if not self._start.done:
             self._start.check_deadlines()
@@ -460,7 +471,13 @@ def _inline(
     After a rest of a few milliseconds, which is how a device's chunks come, a processor has to fetch code and numbers from far memory:
     so it says no by few looks at what is at hand.
     """
-    runner, queue, turn, enter, at = port.runner, port.queue, ingress.turn, ingress.enter, port.runner.clock.at
+    supervisor, queue, turn, enter, at = (
+        port.supervisor,
+        port.queue,
+        ingress.turn,
+        ingress.enter,
+        port.supervisor.clock.at,
+    )
     acquire, release = turn.lock.acquire, turn.lock.release
     long = queue_until = count = worked = since = 0
 
@@ -472,11 +489,11 @@ def _inline(
         nonlocal long, queue_until, count, worked, since
         if came < queue_until or not turn.open:
             return False
-        if queue.waiting or queue.owed or not ready.empty():
+        if queue.waiting or queue.pending_gap or not ready.empty():
             if len(queue.waiting) >= BURST:
                 burst(chunk, came)
             return False
-        if runner.state != "running" or not acquire(False):
+        if supervisor.state != "running" or not acquire(False):
             return False
         try:
             if not turn.open:
@@ -490,7 +507,7 @@ def _inline(
         finally:
             slot.port = None
             release()
-        session_log.lull()
+        session_log.idle_hint()
         long, count, worked = long + 1 if work > LONG_NS else 0, count + 1, worked + work
         if long == LONG_OFTEN:
             long, queue_until = 0, came + NS
@@ -513,12 +530,12 @@ def _gathering(
     fail: Callable[[Exception], None],
 ) -> Inline:
     """What gathers a burst of chunks from `since` on, and takes them into the graph together; `take` takes them one by one afterwards."""
-    runner, queue, turn = port.runner, port.queue, ingress.turn
+    supervisor, queue, turn = port.supervisor, port.queue, ingress.turn
     gathered, limit, pauses = queue.gathered, queue.limit, 0
 
     def gather(chunk: Chunk, came: int) -> bool:
         many, size = len(gathered), chunk.data.nbytes
-        if not port.gathers or not turn.open or runner.state != "running" or size > JOINED_BYTES or many >= limit:
+        if not port.gathers or not turn.open or supervisor.state != "running" or size > JOINED_BYTES or many >= limit:
             return cease(chunk, came)
         gathered.append((chunk, came))
         if not port.gathers:
@@ -541,7 +558,7 @@ def _gathering(
         finally:
             slot.port = None
             turn.lock.release()
-        session_log.lull()
+        session_log.idle_hint()
         pauses = 0 if came - since - worked < many * SPARE_NS else pauses + 1
         if pauses == PAUSES:
             port.gathers = False
@@ -550,7 +567,7 @@ def _gathering(
     def cease(chunk: Chunk, came: int) -> bool:
         """What is gathered waits in the queue before this chunk, if nobody has taken it."""
         port.gathers = False
-        runner.inline[port.output] = take
+        supervisor.inline[port.output] = take
         return not gathered and take(chunk, came)
 
     return gather

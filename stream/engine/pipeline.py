@@ -282,7 +282,7 @@ class Pipeline:
                 arrays |= {f"{name}/merge/{k}": a for k, a in stage.merge.snapshot().items()}
             stage.slot.node = ""
         for name, edge in self.edges.items():
-            arrays[f"{name}/edge"] = np.array([edge.owed, edge.samples, edge.gaps, edge.lost])
+            arrays[f"{name}/edge"] = np.array([edge.pending_gap, edge.samples, edge.gaps, edge.lost])
         return arrays
 
     def restore(self, arrays: dict[str, Array]) -> None:
@@ -293,7 +293,7 @@ class Pipeline:
             if stage.merge:
                 stage.merge.restore(_under(arrays, f"{name}/merge/"))
         for name, edge in self.edges.items():
-            edge.owed, edge.samples, edge.gaps, edge.lost = (int(v) for v in arrays[f"{name}/edge"])
+            edge.pending_gap, edge.samples, edge.gaps, edge.lost = (int(v) for v in arrays[f"{name}/edge"])
             edge.told = NEVER
         self.invalidate()
 

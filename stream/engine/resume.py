@@ -27,12 +27,12 @@ def catch_up(
     workers: Workers,
     session_log: SessionLog,
     clock: SessionClock,
-    pump: Callable[[], None],
+    drain_ready: Callable[[], None],
 ) -> None:
-    """Work through what was logged after the checkpoint; durable outlets write again what they had written since.
+    """Replay the log after the checkpoint; durable outlets write again what they had written since.
 
-    Images that were not kept are lost to the nodes that read them; what these gave, where it was recorded, takes its way again. `pump`
-    takes what workers send home.
+    Images that were not kept are lost to their readers; recorded output of those readers is passed on again. `drain_ready` takes the
+    workers' results.
     """
     checkpoint, recording = prior.checkpoint, prior.recording
     log.info("resuming an interrupted session", folder=str(session_log.folder))
@@ -50,11 +50,11 @@ def catch_up(
             elif stream in by_name:
                 by_name[stream].watermark = max(by_name[stream].watermark, chunk.until)
                 pipeline.feed(stream, chunk)
-            workers.settle(pump)
+            workers.settle(drain_ready)
     for port in ports:
         if port.ended:
             port.watermark = clock.utc_ns - 1  # it had ended then; now it begins again
-        port.owed = -1  # also where the first chunks, which say so, come before the common start
+        port.pending_gap = -1  # also where the first chunks, which say so, come before the common start
     _hush(pipeline, lambda outlet: False)
     for edge in pipeline.edges.values():
         edge.told = NEVER  # what had ended goes on

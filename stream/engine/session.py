@@ -27,7 +27,7 @@ from kinegraph.stream.engine.resume import catch_up
 from kinegraph.stream.engine.session_log import PriorSession, SessionLog
 from kinegraph.stream.engine.shortfall import INCOMPLETE, shortfalls
 from kinegraph.stream.engine.status import MemoryWatch, Outcome, Rates, SessionView, Table, recording_row, table_of
-from kinegraph.stream.engine.supervisor import GRACE_S, REST_S, Runner
+from kinegraph.stream.engine.supervisor import GRACE_S, REST_S, SourceSupervisor
 from kinegraph.stream.engine.warmup import Compilations, warm_up
 from kinegraph.stream.engine.workers import Call, Watchdog, Workers
 from kinegraph.stream.errors import KinegraphError, asked_to_end
@@ -77,8 +77,10 @@ class Session:
         self.log = SessionLog(folder, graph, self.clock, self._prior, waits=waits)
         self._workers = Workers(self._ready, waits, self._fail, partial(self.log.report, DROPPED))
         self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge, stop=self.stop)
-        self._runners = [Runner(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources]
-        self._ingress = Ingress(self._ready, self._runners, self.pipeline, self.log, self.clock, self._fail)
+        self._supervisors = [
+            SourceSupervisor(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources
+        ]
+        self._ingress = Ingress(self._ready, self._supervisors, self.pipeline, self.log, self.clock, self._fail)
         self.now, self._watchdog = self._ingress.time.now, Watchdog(self.pipeline.slots.values())
         self.turn, self._memory, self._rates = self._ingress.turn, MemoryWatch(graph.memory_mb, self.pipeline), Rates()
 
@@ -131,8 +133,8 @@ class Session:
         self._fail(error)
         self._ran_s = self._ran_s or (time.monotonic() - self._began if self._began else 0.0)
         self._broken_off = True
-        for runner in self._runners:
-            runner.stop()
+        for supervisor in self._supervisors:
+            supervisor.stop()
         self._close(stuck)
         return self._outcome([])
 
@@ -159,8 +161,8 @@ class Session:
             self.pipeline.begin(self.clock)
             self._checkpoint()
         self._ingress.begin()
-        for runner in sorted(self._runners, key=lambda runner: not runner.source.background):
-            runner.start(again=self._prior is not None)
+        for supervisor in sorted(self._supervisors, key=lambda supervisor: not supervisor.source.background):
+            supervisor.start(again=self._prior is not None)
 
     def _loop(self) -> None:
         began = time.monotonic()
@@ -174,12 +176,12 @@ class Session:
             with self._ingress.turn.lock:
                 now = time.monotonic()
                 if now - tick > TICK_S:
-                    self._ingress.forgive(now, now - tick)
+                    self._ingress.excuse_pause(now, now - tick)
                 self.pipeline.fold()
-                for runner in self._runners:
-                    runner.watch()
-                self._ingress.look_after(now)
-                tick = min(now + (REST_S if self._ingress.at_ease(now) else TICK_S), ends)
+                for supervisor in self._supervisors:
+                    supervisor.watch()
+                self._ingress.tick(now)
+                tick = min(now + (REST_S if self._ingress.is_idle(now) else TICK_S), ends)
                 if now >= metrics:
                     metrics = now + METRICS_S
                     self._measure()
@@ -191,7 +193,7 @@ class Session:
 
     def _pump(self) -> None:
         """Take what workers send home."""
-        self._ingress.pump()
+        self._ingress.drain_ready()
         if self._error:
             raise self._error
 
@@ -216,11 +218,11 @@ class Session:
 
     def _finish(self) -> None:
         """Stop the sources, work through what had arrived, close every operator and file; each even if another fails."""
-        self._down = any(r.down for r in self._runners)
+        self._down = any(r.down for r in self._supervisors)
         with self._ingress.turn.lock:
             self._ingress.close()
-        for runner in self._runners:
-            runner.stop()
+        for supervisor in self._supervisors:
+            supervisor.stop()
         if self._error is None:
             try:
                 drain(self._ingress, self._workers, self.pipeline, self._pump)
@@ -237,9 +239,9 @@ class Session:
                 if stage.node.name != stuck:
                     stage.close()
         self._measure(last=True)
-        for runner in self._runners:
-            if not runner.join() and not stuck:
-                self.log.report("source does not stop", node=runner.node.name)
+        for supervisor in self._supervisors:
+            if not supervisor.join() and not stuck:
+                self.log.report("source does not stop", node=supervisor.node.name)
         for worker in self._workers.stop(GRACE_S) if stuck else self._workers.stop():
             self.log.report("worker does not stop", worker=worker)
         self.log.close(well=self._error is None)
@@ -258,15 +260,15 @@ class SessionPage(SessionView, Protocol):
     def __exit__(self, *error: object) -> None: ...
 
 
-def drain(ingress: Ingress, workers: Workers, pipeline: Pipeline, pump: Callable[[], None]) -> None:
+def drain(ingress: Ingress, workers: Workers, pipeline: Pipeline, drain_ready: Callable[[], None]) -> None:
     """Everything that had arrived is worked through, then every operator emits what is pending."""
     ingress.serve_all()
-    workers.settle(pump)
+    workers.settle(drain_ready)
     ingress.end()
-    workers.settle(pump)
+    workers.settle(drain_ready)
     if files_of(pipeline):
         log.info("finishing: outlets write what is left")
-    pipeline.close(lambda: workers.settle(pump))
+    pipeline.close(lambda: workers.settle(drain_ready))
 
 
 def exit_code(error: Exception | None, down: bool, missing: Mapping[str, str]) -> int:

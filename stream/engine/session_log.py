@@ -219,10 +219,10 @@ class SessionLog:
         if self.recorder:
             self.recorder.write(number, chunk, arrival, self.sequence, owned=joined)
 
-    def lull(self) -> None:
+    def idle_hint(self) -> None:
         """The session has nothing to do just now: a good moment for the recorder's thread."""
         if self.recorder and self.recorder.patient:
-            self.recorder.lull()
+            self.recorder.idle_hint()
 
     def report(self, kind: str, **facts: Any) -> None:
         """Something worth knowing happened: into the recording, and to the log, which nobody may read any more."""

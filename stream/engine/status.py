@@ -98,12 +98,12 @@ def recording_row(recording: RecorderStatus) -> dict[str, Any]:
 
 
 def _source_row(port: IngressPort, now: float) -> dict[str, Any]:
-    runner, edge = port.runner, port.edge
-    queue = runner.queues[port.output]
-    first = queue is next(iter(runner.queues.values()))
+    supervisor, edge = port.supervisor, port.edge
+    queue = supervisor.queues[port.output]
+    first = queue is next(iter(supervisor.queues.values()))
     return {
         "kind": "source",
-        "state": "stale" if port.stale else runner.state,
+        "state": "stale" if port.stale else supervisor.state,
         "samples": edge.samples,
         "age_s": round(now - port.last, 3),
         "queue": queue.depth,
@@ -112,10 +112,10 @@ def _source_row(port: IngressPort, now: float) -> dict[str, Any]:
         "late": port.late,
         "gaps": edge.gaps,
         "lost": edge.lost,
-        "openings": runner.openings,
-        "problems": dict(runner.problems) if first else {},
-        "clock": dict(runner.clock_facts) if first else {},
-        "error": runner.error if runner.state == "failed" or not runner.ready else "",
+        "openings": supervisor.openings,
+        "problems": dict(supervisor.problems) if first else {},
+        "clock": dict(supervisor.clock_facts) if first else {},
+        "error": supervisor.error if supervisor.state == "failed" or not supervisor.ready else "",
     }
 
 

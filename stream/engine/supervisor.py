@@ -74,12 +74,12 @@ class _StopReadingError(Exception):
 class _Feed:
     """One opening of a source; a source that is opened again gets a new one."""
 
-    def __init__(self, runner: Runner, again: bool) -> None:
-        self._runner = runner
+    def __init__(self, supervisor: SourceSupervisor, again: bool) -> None:
+        self._supervisor = supervisor
         self._stop = threading.Event()
         self._over = False
         self.again = again
-        self._unmarked = set(runner.queues) if again else set()
+        self._unmarked = set(supervisor.queues) if again else set()
 
     @property
     def stopped(self) -> bool:
@@ -88,64 +88,64 @@ class _Feed:
     def stop(self) -> None:
         self._over = True
         self._stop.set()
-        self._runner.mailbox.put(None)  # whoever waits for a word wakes
+        self._supervisor.mailbox.put(None)  # whoever waits for a word wakes
 
     def now(self) -> int:
-        return self._runner.now()
+        return self._supervisor.now()
 
     def wait(self, seconds: float) -> bool:
         return self._stop.wait(seconds)
 
     def ready(self) -> None:
-        self._runner.last_alive = time.monotonic()
-        self._runner.came_alive()
+        self._supervisor.last_alive = time.monotonic()
+        self._supervisor.came_alive()
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         try:
-            only_listens = timeout_s > 0 and not self._runner.awaited
-            return self._runner.mailbox.get(timeout=max(timeout_s, UNAWAITED_S) if only_listens else timeout_s)
+            only_listens = timeout_s > 0 and not self._supervisor.has_readers
+            return self._supervisor.mailbox.get(timeout=max(timeout_s, UNAWAITED_S) if only_listens else timeout_s)
         except Empty:
             return None
 
     def identify(self, device: str, **facts: str | float) -> None:
-        self._runner.report("device", node=self._runner.node.name, device=device, **facts)
+        self._supervisor.report("device", node=self._supervisor.node.name, device=device, **facts)
 
     def problem(self, kind: str, count: int = 1) -> None:
-        self._runner.problems[kind] += count
+        self._supervisor.problems[kind] += count
 
     def tell(self, kind: str, **facts: str | float) -> None:
-        self._runner.report(kind, node=self._runner.node.name, **facts)
+        self._supervisor.report(kind, node=self._supervisor.node.name, **facts)
 
     def device_clock(self, **facts: float) -> None:
-        self._runner.clock_facts = facts
+        self._supervisor.clock_facts = facts
 
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         if self._over:
             raise _StopReadingError
-        runner = self._runner
+        supervisor = self._supervisor
         now = time.monotonic_ns()
-        sound = runner.sound.get(output)
+        sound = supervisor.sound.get(output)
         if sound is None or not sound(chunk):
-            chunk = runner.mended(chunk, output)
+            chunk = supervisor.mended(chunk, output)
         if self._unmarked and len(chunk.time) and output in self._unmarked:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
-        runner.last_alive = now / NS
-        if runner.state == "starting" and not runner.source.background:
-            runner.came_alive()
-        if not runner.inline[output](chunk, now):
-            runner.queues[output].put(chunk, runner.clock.at(now))
-        if runner.state == "starting":  # only now, so that data which waited for its first word come behind it
-            runner.came_alive()
+        supervisor.last_alive = now / NS
+        if supervisor.state == "starting" and not supervisor.source.background:
+            supervisor.came_alive()
+        if not supervisor.inline[output](chunk, now):
+            supervisor.queues[output].put(chunk, supervisor.clock.at(now))
+        if supervisor.state == "starting":  # only now, so that data which waited for its first word come behind it
+            supervisor.came_alive()
 
 
-class Runner:
+class SourceSupervisor:
     """A source node at work.
 
     queues     per output, the queue to the graph's thread
     inline     per output, the way into the graph without it
     sound      per output, what tells whether a chunk can be taken as it is
-    awaited    whether anybody waits for what this source says
+    has_readers whether anybody waits for what this source says
     now        session time, as the source sees it
     live       whether what it gives is gone if nobody reads it
     problems   what the source counted, by kind
@@ -160,7 +160,7 @@ class Runner:
         assert isinstance(node.part, Source)
         self.node, self.clock, self.report, self._fatal = node, clock, report, fatal
         with blaming(node.name, "fresh"):
-            self.source: Source = node.part.fresh()
+            self.source: Source = node.part.unopened()
             self.live = self.source.live
         options, policy = node.options, policy_of(node, live=self.live)
         bound = most_bytes(policy, live=self.live)
@@ -170,7 +170,7 @@ class Runner:
         }
         self.inline: dict[str, Inline] = dict.fromkeys(node.specs, not_inline)
         self.sound = {output: soundness(spec) for output, spec in node.specs.items()}
-        self.awaited = True
+        self.has_readers = True
         self.now: Callable[[], int] = clock.now
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
         self.problems: Counter[str] = Counter()
@@ -251,7 +251,7 @@ class Runner:
             self._absent, self._pause_s, self._retry_at = False, FIRST_PAUSE_S, now
         return now >= self._retry_at
 
-    def at_ease(self, now: float) -> bool:
+    def is_idle(self, now: float) -> bool:
         """Whether nothing becomes due within `REST_S`."""
         silence_s = self.node.options.silence_s
         return self.state not in ("starting", "failed") and not 0 < silence_s < now - self.last_alive + REST_S
@@ -335,15 +335,15 @@ class StartBarrier(Generic[P]):
     since   when that was (monotonic s), or when the waiting began
     """
 
-    def __init__(self, runners: Sequence[Runner], followers: Sequence[Runner] = ()) -> None:
+    def __init__(self, supervisors: Sequence[SourceSupervisor], followers: Sequence[SourceSupervisor] = ()) -> None:
         """`followers` say what they have to say at first before any data enter; they are not waited for longer than `FIRST_WORDS_S`."""
         self._followers = followers
-        self._required = [r for r in runners if r.node.options.required and not r.source.background]
+        self._required = [r for r in supervisors if r.node.options.required and not r.source.background]
         self._held: list[tuple[P, Chunk, int]] = []
         self._began = self.since = time.monotonic()
         self.done = False
 
-    def excuse(self, known: Sequence[Runner]) -> None:
+    def excuse(self, known: Sequence[SourceSupervisor]) -> None:
         """Sources that were there before a session was broken off: the others go on at once, as when a cable is pulled meanwhile."""
         self._required = [r for r in self._required if r not in known]
 
@@ -351,12 +351,12 @@ class StartBarrier(Generic[P]):
         """The sources are started now."""
         self._began = self.since = time.monotonic()
 
-    def pass_on(self, port: P, runner: Runner, chunk: Chunk, arrival: int) -> list[tuple[P, Chunk, int]]:
+    def pass_on(self, port: P, supervisor: SourceSupervisor, chunk: Chunk, arrival: int) -> list[tuple[P, Chunk, int]]:
         """What may enter now that this chunk has come: it and all that was held, or nothing yet."""
         if self.done:
             return [(port, chunk, arrival)]
-        source = runner.source
-        if self.ready or source.background or not runner.live:
+        source = supervisor.source
+        if self.ready or source.background or not supervisor.live:
             self._held.append((port, chunk, arrival))
         return self.release()
 
@@ -373,20 +373,20 @@ class StartBarrier(Generic[P]):
     def ready(self) -> bool:
         return all(r.ready for r in self._required) and all(map(self._has_spoken, self._followers))
 
-    def _has_spoken(self, runner: Runner) -> bool:
+    def _has_spoken(self, supervisor: SourceSupervisor) -> bool:
         """Whether what it says at its start, if anything, has come this far."""
-        if runner.ready and not any(queue.depth for queue in runner.queues.values()):
+        if supervisor.ready and not any(queue.depth for queue in supervisor.queues.values()):
             return True
-        return runner.state in ("failed", "ended") or time.monotonic() - self._began > FIRST_WORDS_S
+        return supervisor.state in ("failed", "ended") or time.monotonic() - self._began > FIRST_WORDS_S
 
     def check_deadlines(self) -> None:
         """Raise DeviceError for a required source that is not ready in time."""
         waited = time.monotonic() - self._began
-        for runner in self._required:
-            deadline = runner.node.options.deadline_s
-            if not runner.ready and waited > deadline:
-                why = f": {runner.error}" if runner.error else ""
+        for supervisor in self._required:
+            deadline = supervisor.node.options.deadline_s
+            if not supervisor.ready and waited > deadline:
+                why = f": {supervisor.error}" if supervisor.error else ""
                 raise DeviceError(
-                    f"source {runner.node.name!r} delivered nothing within {deadline:g} s{why};"
+                    f"source {supervisor.node.name!r} delivered nothing within {deadline:g} s{why};"
                     " connect it, or set `required: false` or a longer `deadline_s`"
                 )

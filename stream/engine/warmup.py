@@ -105,7 +105,7 @@ def _unheard() -> Iterator[None]:
 
 def _run_cases(part: Operator[Any]) -> None:
     for case in part.warm_up_cases():
-        operator = case.operator.fresh()
+        operator = case.operator.unopened()
         specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         operator.open(specs)
         take = taking(operator, specs)
@@ -131,7 +131,7 @@ def _run_made_up(graph: Graph, stage: Stage) -> None:
         _try(graph, node, operator, specs, promised)
         operator.restore(state)
     else:
-        scratch = operator.fresh()
+        scratch = operator.unopened()
         _try(graph, node, scratch, specs, scratch.open(specs))
 
 

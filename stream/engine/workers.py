@@ -125,19 +125,19 @@ class Workers:
         """The log ends here: from now on queues drop by themselves, where they are in the running count of all that came."""
         for name, repeated in self._repeated.items():
             queue = self.queues[name]
-            queue.index, queue.owed, queue.policy = repeated.index, repeated.owed, self._policies[name]
+            queue.index, queue.pending_gap, queue.policy = repeated.index, repeated.pending_gap, self._policies[name]
         self._repeated = {}
 
-    def settle(self, pump: Callable[[], None]) -> None:
-        """Wait until every worker has worked through what it has; `pump` meanwhile takes their results on the graph's thread."""
+    def settle(self, drain_ready: Callable[[], None]) -> None:
+        """Wait until every worker has worked through what it has; `drain_ready` meanwhile takes their results on the graph's thread."""
         before = -1
         while before != (before := sum(c.chunks for c in self.queues.values())):
             for worker in self.workers.values():
                 done = threading.Event()
                 worker.ready.put(done)
                 while not done.wait(0.0005):
-                    pump()
-            pump()
+                    drain_ready()
+            drain_ready()
 
     def stop(self, timeout_s: float = 10.0) -> list[str]:
         """End the threads; returns the names of those that did not end in time."""

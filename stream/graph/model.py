@@ -57,7 +57,7 @@ class NodeOptions:
 class NodeDeclaration:
     """What an operator or outlet said of itself when it was opened to be checked; nothing of a source.
 
-    delay_s, decision_s  as its `hold` was told
+    delay_s, decision_s  as passed to `set_state`
     memory_bytes         what its state takes at the start
     """
 
@@ -115,7 +115,7 @@ class Node:
         if self.opened and (kept := self.opened.take(self.part, inputs)):
             return kept
         assert isinstance(self.part, Operator)
-        operator = self.part.fresh()
+        operator = self.part.unopened()
         return operator, operator.open(inputs)
 
     @property

@@ -12,9 +12,9 @@ def refuse_unsuited(graph: Graph) -> None:
     for node in graph.nodes.values():
         if isinstance(node.part, Operator):
             try:
-                node.part.suits(graph.session)
+                node.part.check_session(graph.session)
             except BaseException as error:
                 if asked_to_end(error):
                     raise
-                text = str(error) if isinstance(error, KinegraphError) else f"suits failed: {explain(error)}"
+                text = str(error) if isinstance(error, KinegraphError) else f"check_session failed: {explain(error)}"
                 raise GraphError(text, path=node.file or graph.path, line=node.line or None, node=node.name) from error

@@ -28,9 +28,9 @@ class Conformance:
     def __init__(self, case: Case) -> None:
         self.case = case
         self.tapes = tapes_of(case)
-        self.excused = type(case.operator).departures
+        self.excused = type(case.operator).exemptions
         if unknown := self.excused.keys() - RULES.keys():
-            raise Broken("cases", f"`departures` names {sorted(unknown)}, which are not rules")
+            raise Broken("cases", f"`exemptions` names {sorted(unknown)}, which are not rules")
         if not self.tapes or not any(len(tape) for tape in self.tapes.values()):
             raise Broken("cases", "the case has no samples")
         self._leaves_specs_alone()
@@ -44,7 +44,7 @@ class Conformance:
 
     def _leaves_specs_alone(self) -> None:
         specs = deepcopy({port: tape.spec for port, tape in self.tapes.items()})
-        self.case.operator.fresh().open(dict(specs))
+        self.case.operator.unopened().open(dict(specs))
         if any(spec.to_json() != self.tapes[port].spec.to_json() for port, spec in specs.items()):
             raise Broken("inputs", "`open` changed the spec of an input")
 

@@ -32,7 +32,7 @@ class Output:
     """Every chunk, copies of its stamps and samples at that time, and whether it came at close."""
     until: int = NEVER
     last: int = NEVER
-    owed: int = 0
+    pending_gap: int = 0
     lost: list[int] = field(default_factory=list)
     lag_ns: int = NEVER
     """The longest that a sample lagged behind the newest input sample, where these came one by one."""
@@ -74,7 +74,7 @@ class Player:
         self.merge = Merge({port: self.specs[port] for port in order}, in_turn=operator.in_turn, acts=operator.acts)
 
     def _open(self) -> tuple[Operator[Any], Specs]:
-        operator = self._fresh.fresh()
+        operator = self._fresh.unopened()
         opened = operator.open(dict(self.specs))
         if tuple(opened) != type(operator).outputs:
             raise Broken(
@@ -216,7 +216,7 @@ class Player:
         period = output.spec.period_ns
         if not period or "spacing" in self._excused:
             return
-        if output.last != NEVER and add_lost(output.owed, chunk.lost):
+        if output.last != NEVER and add_lost(output.pending_gap, chunk.lost):
             steps = steps[1:]
         off = np.abs(steps - period)
         allowed = TOLERANCE * period + 2 + 2 * self._jitter_ns
@@ -231,10 +231,10 @@ class Player:
         self.log.append((name, time.tobytes(), data.tobytes(), int(chunk.until), int(chunk.lost)))
         output.kept.append((chunk, time, data, at_close))
         output.until = int(chunk.until)
-        output.owed = add_lost(output.owed, int(chunk.lost))
+        output.pending_gap = add_lost(output.pending_gap, int(chunk.lost))
         if len(time):
-            output.lost += [output.owed, *[0] * (len(time) - 1)]
-            output.owed = 0
+            output.lost += [output.pending_gap, *[0] * (len(time) - 1)]
+            output.pending_gap = 0
             output.last = int(time[-1])
             if self._singly and not at_close:
                 output.lag_ns = max(output.lag_ns, self.newest - int(time[0]))
@@ -289,8 +289,8 @@ def differ(one: Player, other: Player) -> str:
         if len(first) != len(second):
             longer = first if len(first) > n else second
             return f"output '{name}' gives {len(second)} samples instead of {len(first)} (sample {n} is at {utc(int(longer.time[n]))})"
-        if first.owed != second.owed:
-            return f"output '{name}' ends with lost={second.owed} instead of {first.owed}"
+        if first.pending_gap != second.pending_gap:
+            return f"output '{name}' ends with lost={second.pending_gap} instead of {first.pending_gap}"
     return ""
 
 

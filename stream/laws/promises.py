@@ -59,7 +59,7 @@ def _time_passed(trial: Conformance, player: Player, last: int) -> None:
 def settling(trial: Conformance) -> None:
     """Law 6: a regular signal's spec tells what has still to settle in its inputs, too."""
     longer = {port: spec.derive(settling_s=spec.settling_s + 5.0) for port, spec in trial.reference.specs.items()}
-    opened = trial.case.operator.fresh().open(longer)
+    opened = trial.case.operator.unopened().open(longer)
     for name, output in trial.reference.outputs.items():
         told = opened[name].settling_s
         if output.spec.rate_hz and told < output.spec.settling_s + 5.0 - 1e-9 and "settling" not in trial.excused:

@@ -78,7 +78,7 @@ RULES: dict[str, Rule] = {
     "delay": Rule(
         5,
         "an output is no later, and no earlier, than the declared delay_s allows",
-        "declare in `hold` how much later than its stamp a sample can be known; subtract the delay from the stamps",
+        "declare in `set_state` how much later than its stamp a sample can be known; subtract the delay from the stamps",
     ),
     "time": Rule(
         5,
@@ -88,7 +88,7 @@ RULES: dict[str, Rule] = {
     "channels": Rule(
         6,
         "a bad value in one channel changes no other channel",
-        "keep every channel's state apart; where channels are combined on purpose, say so in `departures`",
+        "keep every channel's state apart; where channels are combined on purpose, say so in `exemptions`",
     ),
     "nan": Rule(6, "NaN in, NaN out", "emit NaN where the input is not finite, rather than an old or made-up value"),
     "poison": Rule(

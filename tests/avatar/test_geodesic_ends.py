@@ -115,7 +115,7 @@ def test_every_kernel_is_compiled_before_the_camera_opens(monkeypatch: pytest.Mo
             extrema, name, lambda *given, name=name, kernel=kernel: called.append(name) or kernel(*given)
         )
     for case in Extrema.warm_up_cases():
-        operator = case.operator.fresh()
+        operator = case.operator.unopened()
         operator.open({port: spec for port, (spec, _, _) in case.inputs.items()})
         for port, (_, time, data) in case.inputs.items():
             operator.process(port, Chunk(time, data, int(time[-1])))

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bench.comeback import RATE_HZ, kept, returned
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 
 
 def test_what_was_offered_and_how_late_it_came_back() -> None:
-    wrong = Misbehaviour(unplug_every_s=4.0, unplug_s=1.0)
+    wrong = FaultInjection(unplug_every_s=4.0, unplug_s=1.0)
     sent = np.arange(round(11 * RATE_HZ))
     at = sent / RATE_HZ
     outage = (at >= 4) & (at % 4 < 1)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kinegraph.devices.simulation.device_model import DeviceModel
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour, Mishaps
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection, FaultInjector
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.source import Source
 from tests.support.device_feed import Kept
@@ -40,7 +40,7 @@ class Cable:
     feed: Arriving
     seconds: float
     delay_s: Callable[[float], float]
-    mishaps: Mishaps
+    injector: FaultInjector
     now_s: float = 0.0
     due: list[tuple[float, bytes]] = field(default_factory=list)
     answers: bytes = b""
@@ -54,11 +54,11 @@ class Cable:
         if self.now_s > self.seconds:
             self.feed.stop()
             return b""
-        if self.mishaps.resets(self.now_s) > self.resets:
+        if self.injector.resets(self.now_s) > self.resets:
             self.resets += 1
             self.brain.restart()
-        self.brain.ahead_s = self.mishaps.jumped_s(self.now_s)  # type: ignore[attr-defined]
-        said = b"".join(self.mishaps.spoil(self.brain.say(self.now_s), self.now_s))
+        self.brain.ahead_s = self.injector.jumped_s(self.now_s)  # type: ignore[attr-defined]
+        said = b"".join(self.injector.spoil(self.brain.say(self.now_s), self.now_s))
         if said:
             at = max(self.now_s + self.delay_s(self.now_s), self.due[-1][0] if self.due else 0.0)
             self.due.append((at, said))
@@ -68,7 +68,7 @@ class Cable:
         return b"".join(come)
 
     def write(self, data: bytes) -> None:
-        self.answers += self.brain.hear(data)
+        self.answers += self.brain.receive(data)
 
     def close(self) -> None: ...
 
@@ -83,12 +83,12 @@ def played(
     brain: DeviceModel,
     seconds: float,
     monkeypatch: pytest.MonkeyPatch,
-    misbehaviour: Misbehaviour = GOOD,
+    faults: FaultInjection = GOOD,
     jitter_s: float = 0.003,
 ) -> Arriving:
     """What the source made of so many seconds of the device; each packet comes .5 ms late and up to `jitter_s` more."""
     feed, random = Arriving(), np.random.default_rng(5)
-    cable = Cable(brain, feed, seconds, lambda _: 0.0005 + jitter_s * float(random.random()), Mishaps(misbehaviour))
+    cable = Cable(brain, feed, seconds, lambda _: 0.0005 + jitter_s * float(random.random()), FaultInjector(faults))
     monkeypatch.setattr("kinegraph.devices.transport.serial_source.connect", lambda *_: cable)
     monkeypatch.setattr("kinegraph.devices.clocks.clock_log.time.monotonic", lambda: cable.now_s)
     source.specs()

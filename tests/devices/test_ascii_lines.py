@@ -15,7 +15,7 @@ from kinegraph.devices.lines.simulator import LinesModel
 from kinegraph.devices.lines.simulator import SimulatedAsciiLines as Simulated
 from kinegraph.devices.lines.source import AsciiLines, LinesReading
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, ParameterError
@@ -163,8 +163,8 @@ def test_without_any_clock_stamps_lie_evenly_before_the_arrival() -> None:
 # the source ----------------------------------------------------------------------------------------------------------
 
 
-def served(misbehaviour: Misbehaviour = GOOD, address: str = "", **given: object) -> Server:
-    return Server(Simulated(**given).brain(), line_at(address), misbehaviour)  # type: ignore[arg-type]
+def served(faults: FaultInjection = GOOD, address: str = "", **given: object) -> Server:
+    return Server(Simulated(**given).brain(), line_at(address), faults)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
@@ -193,7 +193,7 @@ def test_lines_with_time_become_samples(address: str) -> None:
 
 
 def test_lost_and_broken_lines_are_told_by_a_counter() -> None:
-    wrong = Misbehaviour(lose=0.05, corrupt=0.05, duplicate=0.03, seed=1)
+    wrong = FaultInjection(lose=0.05, corrupt=0.05, duplicate=0.03, seed=1)
     with served(wrong, columns=("n", "a"), counter="n", counter_bits=8, time="", rate_hz=200.0) as server:
         source = AsciiLines(server.address, ("n", "a"), counter="n", counter_bits=8, rate_hz=200.0)
         with reading(source) as feed:
@@ -209,7 +209,7 @@ def test_lost_and_broken_lines_are_told_by_a_counter() -> None:
 
 def test_lost_lines_are_told_by_steps_of_time() -> None:
     with served(
-        Misbehaviour(lose=0.1, seed=2), columns=("ms", "a"), time="ms", time_unit="ms", rate_hz=100.0
+        FaultInjection(lose=0.1, seed=2), columns=("ms", "a"), time="ms", time_unit="ms", rate_hz=100.0
     ) as server:
         source = AsciiLines(server.address, ("ms", "a"), time="ms", time_unit="ms", rate_hz=100.0)
         with reading(source) as feed:
@@ -220,7 +220,7 @@ def test_lost_lines_are_told_by_steps_of_time() -> None:
 
 
 def test_a_device_that_is_switched_on_again_is_followed() -> None:
-    with served(Misbehaviour(reset_every_s=0.8), columns=("micros", "a")) as server:
+    with served(FaultInjection(reset_every_s=0.8), columns=("micros", "a")) as server:
         source = AsciiLines(server.address, ("micros", "a"), time="micros", rate_hz=500.0)
         with reading(source) as feed:
             wait_for(lambda: feed.problems["device restarted"] >= 2)

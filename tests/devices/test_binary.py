@@ -19,7 +19,7 @@ from kinegraph.devices.frames.layout import FrameLayout
 from kinegraph.devices.frames.simulator import BinaryModel
 from kinegraph.devices.frames.source import Binary
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, ParameterError
@@ -206,10 +206,10 @@ def test_a_sync_that_begins_another() -> None:
 # the source ----------------------------------------------------------------------------------------------------------
 
 
-def served(source: Binary, misbehaviour: Misbehaviour = GOOD) -> tuple[Server, BinaryModel]:
+def served(source: Binary, faults: FaultInjection = GOOD) -> tuple[Server, BinaryModel]:
     source.prepare()  # before the device is switched on, so that its counter is not past its first turn
     brain = BinaryModel(source)
-    return Server(brain, line_at(), misbehaviour), brain
+    return Server(brain, line_at(), faults), brain
 
 
 def truth(brain: BinaryModel, source: Binary, kind: int, turns: np.ndarray) -> np.ndarray:
@@ -224,7 +224,7 @@ def truth(brain: BinaryModel, source: Binary, kind: int, turns: np.ndarray) -> n
 
 def test_frames_with_a_counter() -> None:
     source = Binary("", (PAIR[0],))
-    server, brain = served(source, Misbehaviour(lose=0.1, corrupt=0.03, duplicate=0.05, seed=4))
+    server, brain = served(source, FaultInjection(lose=0.1, corrupt=0.03, duplicate=0.05, seed=4))
     with server, reading(replace(source, port=server.address)) as feed:
         wait_for(lambda: feed.count("motion") >= 300)
     check(source, feed)
@@ -278,7 +278,7 @@ def test_the_sensors_bytes_mean_what_its_manual_says() -> None:
 def test_loss_by_the_devices_time_and_a_device_switched_on_again() -> None:
     frame = Frame("7E", (Field("u32", role="time", unit="us"), Field("f32", "x")), "x", checksum="crc32", rate_hz=200.0)
     source = Binary("", (frame,))
-    server, _ = served(source, Misbehaviour(lose=0.1, reset_every_s=1.0, seed=3))
+    server, _ = served(source, FaultInjection(lose=0.1, reset_every_s=1.0, seed=3))
     with server, reading(replace(source, port=server.address)) as feed:
         wait_for(lambda: feed.problems["device restarted"] >= 2)
     check(source, feed)

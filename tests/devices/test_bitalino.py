@@ -15,7 +15,7 @@ from kinegraph.devices.bitalino.simulator import BitalinoModel
 from kinegraph.devices.bitalino.source import Bitalino, BitalinoChannel
 from kinegraph.devices.clocks.short_counter import ShortCounter
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, ParameterError
@@ -170,8 +170,8 @@ def test_whole_turns_that_are_missing_show_within_seconds(missing: int) -> None:
 CHANNELS = (BitalinoChannel("A3", "ecg", "heart"), BitalinoChannel("A1", "emg"), BitalinoChannel("A2", "eda"))
 
 
-def read(brain: BitalinoModel, n: int, misbehaviour: Misbehaviour = GOOD, address: str = "", **given: object) -> Kept:
-    with Server(brain, line_at(address, "rfcommSIM"), misbehaviour) as server:
+def read(brain: BitalinoModel, n: int, faults: FaultInjection = GOOD, address: str = "", **given: object) -> Kept:
+    with Server(brain, line_at(address, "rfcommSIM"), faults) as server:
         source = replace(Bitalino(server.address, CHANNELS), **given)  # type: ignore[arg-type]
         with reading(source) as feed:
             wait_for(lambda: feed.error is not None or feed.count("analog") >= n, 60)
@@ -207,7 +207,7 @@ def test_channels_are_in_the_order_of_the_inputs() -> None:
 
 def test_lost_and_damaged_frames_are_counted_and_nothing_is_invented() -> None:
     brain = BitalinoModel(("emg", "eda", "ecg", "volt", "volt", "volt"), seed=4)
-    feed = read(brain, 3000, Misbehaviour(lose=0.03, corrupt=0.02, seed=2))
+    feed = read(brain, 3000, FaultInjection(lose=0.03, corrupt=0.02, seed=2))
     assert feed.error is None
     number = feed.data("timing")["counter"]
     assert (np.diff(number) > 0).all()
@@ -222,8 +222,8 @@ def test_lost_and_damaged_frames_are_counted_and_nothing_is_invented() -> None:
 
 
 def test_a_stall_is_no_loss_and_a_short_counters_restart_looks_like_one() -> None:
-    assert not read(BitalinoModel(), 2500, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
-    feed = read(BitalinoModel(), 2500, Misbehaviour(reset_every_s=0.905))
+    assert not read(BitalinoModel(), 2500, FaultInjection(stall_every_s=1.0, stall_s=0.3)).problems
+    feed = read(BitalinoModel(), 2500, FaultInjection(reset_every_s=0.905))
     assert feed.error is None and all(0 < n < 16 for n in feed.lost("analog").values())
 
 

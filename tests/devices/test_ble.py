@@ -28,7 +28,7 @@ from kinegraph.devices.lines.source import AsciiLines
 from kinegraph.devices.polar import protocol as polar_pmd
 from kinegraph.devices.polar.simulator import BEAT_S, ECG_FRAME, PolarBelt
 from kinegraph.devices.polar.source import Polar
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.devices.transport.ble_link import BleLink
 from kinegraph.devices.transport.ble_radio import uuid
 from kinegraph.devices.transport.transport import connect
@@ -76,7 +76,7 @@ def test_a_polar_belt(compressed: bool) -> None:
 
 def test_frames_lost_on_the_air_are_counted() -> None:
     with radio() as air:
-        air.put(PolarBelt(), misbehaviour=Misbehaviour(lose=0.3, seed=5))
+        air.put(PolarBelt(), faults=FaultInjection(lose=0.3, seed=5))
         with reading(Polar(heart=False)) as feed:
             until(feed, lambda: feed.count("ecg") > 9 * ECG_FRAME)
     lost, number = feed.lost("ecg"), whole(feed)
@@ -108,7 +108,7 @@ def test_a_belt_out_of_reach_is_told_and_found_again() -> None:
 def test_a_measurement_that_another_program_left_running_is_begun_again() -> None:
     with radio() as air:
         belt = PolarBelt()
-        belt.hear(polar_pmd.CONTROL, polar_pmd.start(polar_pmd.ECG, rate=130, resolution=14))
+        belt.receive(polar_pmd.CONTROL, polar_pmd.start(polar_pmd.ECG, rate=130, resolution=14))
         air.put(belt)
         with reading(Polar(heart=False)) as feed:
             until(feed, lambda: feed.count("ecg") > 0)
@@ -171,7 +171,7 @@ def test_a_dot_whose_time_runs_over(mode: movella_dot.Mode) -> None:
 
 def test_dot_packets_lost_are_known_from_its_time() -> None:
     with radio() as air:
-        air.put(DotSensor(), misbehaviour=Misbehaviour(lose=0.05, seed=3))
+        air.put(DotSensor(), faults=FaultInjection(lose=0.05, seed=3))
         with reading(MovellaDot(rate_hz=120)) as feed:
             until(feed, lambda: feed.count("out") > 200)
     number, lost = feed.data("out")[:, 0].astype(int), feed.lost("out")
@@ -196,7 +196,7 @@ def test_a_ganglion(firmware: int, off: int) -> None:
 def test_a_ganglion_that_sends_differences_is_believed_again_from_the_next_whole_packet() -> None:
     with radio() as air:
         board = GanglionBoard(2)
-        air.put(board, misbehaviour=Misbehaviour(lose=0.01, seed=1))
+        air.put(board, faults=FaultInjection(lose=0.01, seed=1))
         with reading(Ganglion()) as feed:
             until(feed, lambda: feed.count("out") > 500 and bool(feed.problems["packet without a reference"]))
             until(feed, lambda: bool(feed.lost("out")))
@@ -370,7 +370,7 @@ def test_lines_over_bluetooth_are_lines() -> None:
         def hold(self, characteristic: str) -> bytes:
             return b""
 
-        def hear(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
+        def receive(self, characteristic: str, data: bytes) -> list[tuple[str, bytes]]:
             return []
 
         def say(self, seconds: float) -> list[tuple[str, bytes]]:

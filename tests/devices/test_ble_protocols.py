@@ -12,13 +12,13 @@ from kinegraph.devices.fitness_treadmill import protocol as ftms
 from kinegraph.devices.ganglion import protocol as ganglion
 from kinegraph.devices.ganglion.protocol import GanglionDecoder
 from kinegraph.devices.heart_rate import protocol as heart_rate
-from kinegraph.devices.heart_rate.protocol import HeartRateSaid
+from kinegraph.devices.heart_rate.protocol import HeartRateMeasurement
 from kinegraph.devices.polar import protocol as polar_pmd
 from kinegraph.devices.polar.protocol import PmdDecoder
 
 
 def test_heart_rate_vectors_of_the_polar_sdk() -> None:
-    assert heart_rate.parse(bytes.fromhex("08007F80")) == HeartRateSaid(0, None, 32895, ())
+    assert heart_rate.parse(bytes.fromhex("08007F80")) == HeartRateMeasurement(0, None, 32895, ())
     said = heart_rate.parse(bytes.fromhex("110000FFFF7F80"))
     assert said is not None and said.rr_s == (65535 / 1024, 32895 / 1024)
 
@@ -28,7 +28,7 @@ def test_heart_rate_vectors_of_the_polar_sdk() -> None:
     st.lists(st.integers(0, 65535), max_size=5),
 )  # fmt: skip
 def test_what_a_belt_sends_is_what_is_read(bpm: int, contact: bool | None, energy: int | None, rr: list[int]) -> None:
-    said = HeartRateSaid(bpm, contact, energy, tuple(ticks / 1024 for ticks in rr))
+    said = HeartRateMeasurement(bpm, contact, energy, tuple(ticks / 1024 for ticks in rr))
     assert heart_rate.parse(heart_rate.build(said)) == said
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from kinegraph.devices.clocks.device_clock import STEADY, DeviceClock
 from kinegraph.devices.lines.indexed_simulator import Indexed
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.cli.commands.info import clocks, facts
 from kinegraph.stream.engine.session import Session
@@ -18,7 +18,7 @@ from tests.support.command_line import Command
 
 
 def test_info_tells_of_the_clocks_of_two_devices_one_of_which_is_set(tmp_path: Path, kinegraph: Command) -> None:
-    wrong = Misbehaviour(jump_every_s=2.0, jump_s=3600.0)
+    wrong = FaultInjection(jump_every_s=2.0, jump_s=3600.0)
     with Indexed(rate_hz=200).serving() as one, Indexed(rate_hz=100).serving(wrong) as other:
         nodes = "".join(
             f"  {name}: {{use: devices.lines.AsciiLines, port: {port}, columns: [i, t, n], time: t, time_bits: 0, rate_hz: {hz}}}\n"

@@ -13,7 +13,7 @@ from kinegraph.devices.lines.indexed_simulator import Indexed
 from kinegraph.devices.lines.source import AsciiLines
 from kinegraph.devices.mti.simulator import MtiModel
 from kinegraph.devices.mti.source import Mti
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.stream.chunk import NS
 from tests.devices.scripted import BEGAN, Arriving, played
 from tests.support.device_feed import check, reading, wait_for
@@ -36,7 +36,7 @@ def test_a_jump_is_a_restart_and_no_stamp_leaves_the_truth(
     source = AsciiLines(
         "a", ("index", "t", "n"), time="t", time_unit="us", time_bits=0, counter=counter, rate_hz=RATE
     )  # fmt: skip
-    wrong = Misbehaviour(jump_every_s=6.0, jump_s=jump_s)
+    wrong = FaultInjection(jump_every_s=6.0, jump_s=jump_s)
     feed = played(source, Indexed(rate_hz=RATE).brain(), 20.0, monkeypatch, wrong)
     check(source, feed)
     never_after_arrival(feed)
@@ -66,7 +66,7 @@ def test_the_same_holds_of_frames_and_of_ticks(jump_s: float, monkeypatch: pytes
     binary = Binary("a", (frame,))
     sources = [(binary, BinaryModel(binary), "x", 200), (Mti("tcp://a"), MtiModel(), "imu", 100)]
     for source, brain, output, rate in sources:
-        wrong = Misbehaviour(jump_every_s=6.0, jump_s=jump_s)
+        wrong = FaultInjection(jump_every_s=6.0, jump_s=jump_s)
         feed = played(source, brain, 20.0, monkeypatch, wrong)
         check(source, feed)
         never_after_arrival(feed)
@@ -80,7 +80,7 @@ def test_the_same_holds_of_frames_and_of_ticks(jump_s: float, monkeypatch: pytes
 def test_a_wrong_number_is_no_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of lines without a checksum one in a hundred has a byte changed, also in its time."""
     source = AsciiLines("a", ("index", "t", "n"), time="t", rate_hz=RATE)
-    wrong = Misbehaviour(corrupt=0.01, from_s=1.0)
+    wrong = FaultInjection(corrupt=0.01, from_s=1.0)
     feed = played(source, Indexed(rate_hz=RATE).brain(), 30.0, monkeypatch, wrong)
     never_after_arrival(feed)
     assert not [kind for kind, _ in feed.told]
@@ -91,7 +91,7 @@ def test_a_wrong_number_is_no_jump(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_over_a_pseudo_terminal() -> None:
-    with Indexed(rate_hz=200).serving(Misbehaviour(jump_every_s=1.5, jump_s=3600.0)) as port:
+    with Indexed(rate_hz=200).serving(FaultInjection(jump_every_s=1.5, jump_s=3600.0)) as port:
         source = AsciiLines(port, ("index", "t", "n"), time="t", time_bits=0, rate_hz=200)
         with reading(source) as feed:
             wait_for(lambda: len([kind for kind, _ in feed.told if kind == "device clock jumped"]) >= 2)

@@ -1,4 +1,4 @@
-"""OpenBCI Cyton and Daisy: bytes cut anywhere, garbage, commands; the source against the simulated board; the board's misbehaviour."""
+"""OpenBCI Cyton and Daisy: bytes cut anywhere, garbage, commands; the source against the simulated board; the board's faults."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kinegraph.devices.cyton.simulator import CytonModel
 from kinegraph.devices.cyton.simulator import SimulatedCyton as Simulated
 from kinegraph.devices.cyton.source import Cyton
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.stream.errors import DeviceError, ParameterError
 from kinegraph.stream.params import build
@@ -134,23 +134,23 @@ def test_commands() -> None:
 
 def test_the_board_answers_as_the_documentation_says() -> None:
     brain = CytonModel(daisy=True)
-    greeting = brain.hear(b"v")
+    greeting = brain.receive(b"v")
     assert greeting.startswith(b"OpenBCI V3") and b"Daisy" in greeting and greeting.endswith(b"$$$")
-    assert b"Daisy" not in CytonModel().hear(b"v")
-    assert brain.hear(b"x30") == b"" and brain.hear(b"60110X") == b"Success: Channel set for 3$$$"
-    assert brain.hear(b"x99X").startswith(b"Failure") and brain.hear(b"d").endswith(b"$$$")
+    assert b"Daisy" not in CytonModel().receive(b"v")
+    assert brain.receive(b"x30") == b"" and brain.receive(b"60110X") == b"Success: Channel set for 3$$$"
+    assert brain.receive(b"x99X").startswith(b"Failure") and brain.receive(b"d").endswith(b"$$$")
     assert brain.say(1.0) == []
-    brain.hear(b"b")
+    brain.receive(b"b")
     assert brain.say(2.0) == [] and len(brain.say(3.0)) == 250
-    brain.hear(b"s")
+    brain.receive(b"s")
     assert brain.say(4.0) == []
 
 
 # the source ----------------------------------------------------------------------------------------------------------
 
 
-def served(brain: CytonModel, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Server:
-    return Server(brain, line_at(address, "ttyCYTON"), misbehaviour)
+def served(brain: CytonModel, faults: FaultInjection = GOOD, address: str = "") -> Server:
+    return Server(brain, line_at(address, "ttyCYTON"), faults)
 
 
 def expected(brain: CytonModel, first: int, n: int, uv: float = uv_per_count(24)) -> np.ndarray:
@@ -210,17 +210,17 @@ def test_gains_and_switched_off_channels() -> None:
 
 def test_lost_repeated_and_broken_packets_are_counted_and_nothing_is_invented() -> None:
     brain = CytonModel(seed=6)
-    wrong = Misbehaviour(lose=0.05, duplicate=0.05, corrupt=0.02, from_s=0.0, seed=1)
+    wrong = FaultInjection(lose=0.05, duplicate=0.05, corrupt=0.02, from_s=0.0, seed=1)
     with served(brain, wrong) as server:
         source = Cyton(server.address)
         with reading(source) as feed:
             wait_for(lambda: feed.count("emg") >= 700)
-        mishaps = server.mishaps
+        injector = server.injector
     check(source, feed)
     assert feed.error is None
     number = feed.data("timing")["counter"]
     assert (np.diff(number) > 0).all() and sum(feed.lost("emg").values()) == number[-1] - number[0] + 1 - len(number)
-    assert feed.problems["lost packet"] > 20 and abs(feed.problems["repeated packet"] - mishaps.duplicated) <= 8
+    assert feed.problems["lost packet"] > 20 and abs(feed.problems["repeated packet"] - injector.duplicated) <= 8
     assert feed.problems["resync"] > 0 and feed.problems["bytes that are no packet"] > 0
     truth = expected(brain, 0, int(number[-1]) + 1)[number]
     assert (feed.data("emg") == truth).all(
@@ -230,7 +230,7 @@ def test_lost_repeated_and_broken_packets_are_counted_and_nothing_is_invented() 
 
 def test_a_daisys_sample_is_lost_if_either_packet_is() -> None:
     brain = CytonModel(daisy=True, seed=6)
-    with served(brain, Misbehaviour(lose=0.1, seed=2)) as server, reading(Cyton(server.address, daisy=True)) as feed:
+    with served(brain, FaultInjection(lose=0.1, seed=2)) as server, reading(Cyton(server.address, daisy=True)) as feed:
         wait_for(lambda: feed.count("emg") >= 200)
     number = feed.data("timing")["counter"].tolist()
     there = set(number)
@@ -242,7 +242,7 @@ def test_a_daisys_sample_is_lost_if_either_packet_is() -> None:
 
 
 def test_a_stall_loses_nothing_and_stamps_stay_even() -> None:
-    stalls = Misbehaviour(stall_every_s=1.5, stall_s=0.7, from_s=0.5)
+    stalls = FaultInjection(stall_every_s=1.5, stall_s=0.7, from_s=0.5)
     with served(CytonModel(), stalls) as server, reading(Cyton(server.address)) as feed:
         wait_for(lambda: feed.count("emg") >= 900)
     assert feed.lost("emg") == {} and not feed.problems
@@ -251,7 +251,7 @@ def test_a_stall_loses_nothing_and_stamps_stay_even() -> None:
 
 
 def test_a_counter_that_begins_again_is_marked_and_time_goes_on() -> None:
-    with served(CytonModel(), Misbehaviour(reset_every_s=1.1)) as server, reading(Cyton(server.address)) as feed:
+    with served(CytonModel(), FaultInjection(reset_every_s=1.1)) as server, reading(Cyton(server.address)) as feed:
         wait_for(lambda: feed.count("emg") >= 700)
     assert feed.problems["counter reset"] >= 1
     assert -1 in feed.lost("emg").values()
@@ -356,4 +356,4 @@ def test_the_simulated_board_stands_in_for_the_real_one() -> None:
         assert replace(there, port="/dev/ttyUSB0") == source
         with reading(there) as feed:
             wait_for(lambda: feed.count("emg") >= 20)
-    assert Simulated(daisy=True).brain().hear(b"C") == b"16$$$"
+    assert Simulated(daisy=True).brain().receive(b"C") == b"16$$$"

@@ -10,7 +10,7 @@ import pytest
 from kinegraph.devices.cyton.protocol import ChannelSetting, CytonDecoder, impedance_ohm, lead_off, uv_per_count
 from kinegraph.devices.cyton.simulator import CytonModel, SimulatedCyton
 from kinegraph.devices.cyton.source import Cyton
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.operators.emg.commands.electrode_check import check_electrodes
 from kinegraph.stream.chunk import StreamSpec
 from kinegraph.stream.domain.impedance import Impedance, LoneFeed
@@ -27,7 +27,7 @@ def settings(pairs: set[int], common: set[int], n: int = 8) -> tuple[ChannelSett
 
 
 def measured(
-    *, kohm: tuple[float, ...], of: tuple[ChannelSetting, ...], daisy: bool = False, wrong: Misbehaviour = GOOD
+    *, kohm: tuple[float, ...], of: tuple[ChannelSetting, ...], daisy: bool = False, wrong: FaultInjection = GOOD
 ) -> list[tuple[str, str, float]]:
     with SimulatedCyton(daisy=daisy, impedances_kohm=kohm).serving(wrong) as port:
         told = Cyton(port, daisy=daisy, settings=of).impedances(LoneFeed())
@@ -37,15 +37,15 @@ def measured(
 def test_the_command_and_its_answers_are_those_of_the_documentation() -> None:
     assert lead_off(4, True, False) == b"z410Z" and lead_off(9, False, True) == b"zQ01Z"
     board = CytonModel()
-    assert board.hear(b"z4") == b"" and board.hear(b"10Z") == b"Success: Lead off set for 4$$$"
-    assert board.hear(b"z4Z") == b"Failure: too few chars$$$"
-    assert board.hear(b"b" + lead_off(4, False, False)) == b"", "while it streams, it confirms nothing"
+    assert board.receive(b"z4") == b"" and board.receive(b"10Z") == b"Success: Lead off set for 4$$$"
+    assert board.receive(b"z4Z") == b"Failure: too few chars$$$"
+    assert board.receive(b"b" + lead_off(4, False, False)) == b"", "while it streams, it confirms nothing"
 
 
 def test_the_formula_is_that_of_the_boards_makers_and_leaves_hum_and_drift_out() -> None:
     """sqrt(2) * rms / 6 nA - 2200 ohm, as OpenBCI's own program has it, of a board whose packets are decoded here."""
     board = CytonModel(impedances_kohm=(30.0, 5.0))
-    board.hear(PAIR.command + lead_off(1, True, False) + b"b")
+    board.receive(PAIR.command + lead_off(1, True, False) + b"b")
     frames = CytonDecoder().feed(b"".join([*board.say(0.0), *board.say(4.001), b"\xa0"]))
     uv = frames.counts[:, 0] * uv_per_count(24)
     number = np.arange(len(uv))
@@ -64,7 +64,7 @@ def test_both_poles_of_a_pair_and_the_free_pole_of_a_common_reference() -> None:
 
 
 def test_an_electrode_that_is_off_is_infinite_and_lost_packets_change_little() -> None:
-    found = measured(kohm=(float("inf"), 50.0), of=settings({1}, set()), wrong=Misbehaviour(lose=0.05))
+    found = measured(kohm=(float("inf"), 50.0), of=settings({1}, set()), wrong=FaultInjection(lose=0.05))
     assert found[0][2] == np.inf and found[1][2] == pytest.approx(50.0, rel=0.05)
 
 
@@ -75,7 +75,7 @@ def test_a_daisys_averages_are_allowed_for() -> None:
 
 
 def test_a_board_that_falls_silent_is_named_not_waited_for() -> None:
-    with SimulatedCyton().serving(Misbehaviour(stall_every_s=1.0, stall_s=60.0)) as port:
+    with SimulatedCyton().serving(FaultInjection(stall_every_s=1.0, stall_s=60.0)) as port:
         told = Cyton(port, settings=settings({1}, set())).impedances(LoneFeed())
         with pytest.raises(DeviceError, match=r"while impedance was measured|no answer"):
             list(told)

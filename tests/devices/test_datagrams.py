@@ -15,7 +15,7 @@ import pytest
 from kinegraph.devices.frames.datagram_simulator import sending
 from kinegraph.devices.frames.simulator import BinaryModel
 from kinegraph.devices.frames.source import Binary
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.devices.transport.transport import connect
 from kinegraph.stream.errors import DeviceError, ParameterError
 from kinegraph.stream.params import build
@@ -54,7 +54,7 @@ def test_what_another_program_packs_is_read_as_it_is() -> None:
 
 def test_a_network_that_loses_and_doubles() -> None:
     source = phone()
-    with sending(BinaryModel(source), Misbehaviour(lose=0.05, duplicate=0.05, seed=2)) as port:
+    with sending(BinaryModel(source), FaultInjection(lose=0.05, duplicate=0.05, seed=2)) as port:
         source = replace(source, port=port)
         with reading(source) as feed:
             wait_for(lambda: feed.count("motion") > 300)

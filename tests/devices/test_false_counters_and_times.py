@@ -13,7 +13,7 @@ import pytest
 from kinegraph.devices.frames.declared import Field, Frame
 from kinegraph.devices.frames.source import Binary
 from kinegraph.devices.lines.source import AsciiLines
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, RunError
 from tests.devices.scripted import BEGAN, Arriving, played
@@ -31,7 +31,7 @@ class Liar:
     def __init__(self, line: Callable[[int], bytes]) -> None:
         self._line, self._said = line, 0
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         return b""
 
     def restart(self) -> None: ...
@@ -102,10 +102,10 @@ def test_a_counter_for_which_frames_without_a_checksum_are_not_believed_is_named
 
 
 @pytest.mark.parametrize(
-    "wrong", [GOOD, Misbehaviour(lose=0.4, seed=3), Misbehaviour(duplicate=0.4), Misbehaviour(corrupt=0.2)]
+    "wrong", [GOOD, FaultInjection(lose=0.4, seed=3), FaultInjection(duplicate=0.4), FaultInjection(corrupt=0.2)]
 )
 @pytest.mark.parametrize("time", ["", "t"])
-def test_a_counter_that_counts_is_left_alone(wrong: Misbehaviour, time: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_counter_that_counts_is_left_alone(wrong: FaultInjection, time: str, monkeypatch: pytest.MonkeyPatch) -> None:
     source = AsciiLines("a", COLUMNS, counter="n", time=time, rate_hz=RATE)
     assert not played(source, lines(), 20.0, monkeypatch, wrong).problems["counter mismatch"]
 
@@ -116,7 +116,7 @@ def test_a_counter_that_starts_again_early_is_named_and_can_be_declared(monkeypa
     (told,) = [facts["text"] for kind, facts in feed.told if kind == "counter mismatch"]
     assert "goes from 199 to 0" in str(told) and "set counter_wraps to 200" in str(told)
     mended = AsciiLines("a", COLUMNS, counter="n", counter_wraps=200, rate_hz=RATE)
-    feed = played(mended, lines(number=lambda i: i % 200), 15.0, monkeypatch, Misbehaviour(lose=0.01))
+    feed = played(mended, lines(number=lambda i: i % 200), 15.0, monkeypatch, FaultInjection(lose=0.01))
     assert not feed.told and -1 not in feed.lost("out").values()
     missing = np.diff(feed.data("out")[:, 0]) - 1
     assert sum(feed.lost("out").values()) == missing.sum() > 0

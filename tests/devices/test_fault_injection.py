@@ -24,7 +24,7 @@ from kinegraph.devices.mti import simulator as mti
 from kinegraph.devices.oak import simulator as oak
 from kinegraph.devices.shimmer import simulator as shimmer
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.devices.trigno import simulator as trigno
 from kinegraph.devices.usb import simulated_reports as usb_reports
@@ -35,7 +35,7 @@ from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.recording import Recording
 from kinegraph.stream.source import Source
 
-WRONG = Misbehaviour(
+WRONG = FaultInjection(
     lose=0.04, duplicate=0.04, corrupt=0.06, from_s=1.0, seed=1,
     stall_every_s=1.3, stall_s=0.4, reset_every_s=1.9, unplug_every_s=6.0, unplug_s=0.5,
 )  # fmt: skip
@@ -44,7 +44,7 @@ AT_MOST_S = 240.0
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """yaml: its node; shows: per misbehaviour, what its source counts (any of them), where it can be seen at all."""
+    """yaml: its node; shows: per faults, what its source counts (any of them), where it can be seen at all."""
 
     yaml: str
     shows: dict[str, tuple[str, ...]]
@@ -230,7 +230,7 @@ def test_all_devices_misbehave_at_once_and_the_rest_goes_on(tmp_path: Path) -> N
 
 def test_the_command_names_every_fault() -> None:
     told = simulate.__doc__ or ""
-    assert [name for name in Misbehaviour.__dataclass_fields__ if f"{name}=" not in told] == []
+    assert [name for name in FaultInjection.__dataclass_fields__ if f"{name}=" not in told] == []
 
 
 def test_a_cable_that_is_out_can_be_pulled_once_more() -> None:

@@ -26,7 +26,7 @@ from kinegraph.devices.frames.layout import FrameLayout
 from kinegraph.devices.frames.packet_decoder import EscapedDecoder, escaped
 from kinegraph.devices.ganglion.protocol import GanglionDecoder
 from kinegraph.devices.heart_rate import protocol as heart_rate
-from kinegraph.devices.heart_rate.protocol import HeartRateSaid
+from kinegraph.devices.heart_rate.protocol import HeartRateMeasurement
 from kinegraph.devices.lines.protocol import LineDecoder
 from kinegraph.devices.mti import xbus
 from kinegraph.devices.natnet import protocol as natnet
@@ -177,7 +177,7 @@ MESSAGES: dict[str, tuple[bytes, Callable[[bytes], object], type[Exception]]] = 
     "QTM frame": (QTM, qualisys.frame, QualisysError),
     "QTM names": (XML, lambda data: qualisys.names(data.decode("latin-1")), QualisysError),
     "OSC": (next(iter(bundles([floats("/a", [1.0, 2.0]), floats("/b/c", [3.0])]))), read_osc, OscError),
-    "heart rate": (heart_rate.build(HeartRateSaid(60, True, 5, (0.9, 1.1))), heart_rate.parse, ValueError),
+    "heart rate": (heart_rate.build(HeartRateMeasurement(60, True, 5, (0.9, 1.1))), heart_rate.parse, ValueError),
     "Polar": (POLAR, lambda data: polar_pmd.PmdDecoder().frame(data), ValueError),
     "FTMS": (ftms.build(5.0, 1.0, 100.0, 60.0), ftms.parse, ValueError),
     "Movella DOT": (bytes(range(20)), lambda data: movella_dot.parse(movella_dot.MODES["free"], data), ValueError),

@@ -23,7 +23,7 @@ from kinegraph.devices.lsl.discovery import find as discovered
 from kinegraph.devices.lsl.network import library
 from kinegraph.devices.lsl.simulator import Lsl, Sender
 from kinegraph.devices.lsl.stamps import NEWEST_S
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.stream.chunk import NS, Array
 from kinegraph.stream.cli.commands.info import clocks
 from kinegraph.stream.engine.session import Session
@@ -168,15 +168,15 @@ def samples(name: str) -> int:
 
 
 @contextmanager
-def running(sender: Lsl, misbehaviour: Misbehaviour | None = None) -> Iterator[Sender]:
-    with sender.sending(misbehaviour or Misbehaviour()) as at_work:
+def running(sender: Lsl, faults: FaultInjection | None = None) -> Iterator[Sender]:
+    with sender.sending(faults or FaultInjection()) as at_work:
         yield at_work
 
 
 def test_lost_blocks_of_an_even_sender_are_counted(name: str) -> None:
-    sender, wrong = replace(SENDER, name=name, source_id=name), Misbehaviour(lose=0.1, from_s=2.5, seed=2)
+    sender, wrong = replace(SENDER, name=name, source_id=name), FaultInjection(lose=0.1, from_s=2.5, seed=2)
     with reading(replace(EMG, source_id=name)) as feed, running(sender, wrong) as at_work:
-        wait_for(lambda: at_work.mishaps.lost > 5 and feed.count("out") > 3000)
+        wait_for(lambda: at_work.injector.lost > 5 and feed.count("out") > 3000)
     number = assert_exact(feed, sender)
     leaps = np.diff(number) - 1
     assert feed.lost("out") == {int(i) + 1: int(leaps[i]) for i in np.flatnonzero(leaps)}
@@ -184,7 +184,7 @@ def test_lost_blocks_of_an_even_sender_are_counted(name: str) -> None:
 
 
 def test_blocks_sent_twice_corrupted_or_late_never_make_time_run_backwards(name: str) -> None:
-    wrong = Misbehaviour(lose=0.02, duplicate=0.05, corrupt=0.2, stall_every_s=0.6, stall_s=0.2, seed=1)
+    wrong = FaultInjection(lose=0.02, duplicate=0.05, corrupt=0.2, stall_every_s=0.6, stall_s=0.2, seed=1)
     source = replace(EMG, source_id=name)
     with reading(source) as feed, running(replace(SENDER, source_id=name), wrong):
         wait_for(lambda: feed.count("out") > 2000 and feed.problems["stamp ran backwards"] > 0)
@@ -274,12 +274,12 @@ def test_probe_takes_the_stream_for_what_it_is(name: str) -> None:
         spec = source.specs()["out"]
         assert spec.channels == MUSCLES and spec.units == ("mV",) and spec.rate_hz == 1000.0
         assert spec.meta == {"xdf_type": "EMG"} and spec.dtype == np.float64
-        with reading(source.fresh()) as feed:
+        with reading(source.unopened()) as feed:
             wait_for(lambda: feed.count("out") > 100)
         check(source, feed)
         markers = LslInlet(name=f"{name} markers", probe=True, text_width=12).specs()["out"]
         assert markers.dtype == np.dtype([("onset", "<i8"), ("text", "<U12")])
-    with running(replace(SENDER, name=name, channels=3)), reading(source.fresh()) as feed:
+    with running(replace(SENDER, name=name, channels=3)), reading(source.unopened()) as feed:
         wait_for(lambda: feed.error is not None)
     assert "it has 3 channels, declared are 4; has it changed since the graph was loaded?" in str(feed.error)
 

@@ -20,7 +20,7 @@ from kinegraph.devices.mti.simulator import SimulatedMti as Simulated
 from kinegraph.devices.mti.source import Mti
 from kinegraph.devices.people.walking_limb import Limb
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, ParameterError
@@ -32,8 +32,8 @@ CONFIG = Path(__file__).resolve().parents[2] / "configs" / "imu_steps.yaml"
 FAST = {"rate_hz": 2000, "high_rate": True, "baud": 2_000_000}
 
 
-def served(brain: MtiModel, misbehaviour: Misbehaviour = GOOD, address: str = "") -> Server:
-    return Server(brain, line_at(address, "ttyMTI"), misbehaviour)
+def served(brain: MtiModel, faults: FaultInjection = GOOD, address: str = "") -> Server:
+    return Server(brain, line_at(address, "ttyMTI"), faults)
 
 
 def read(server: Server, n: int, **given: object) -> tuple[Mti, Kept]:
@@ -111,29 +111,29 @@ def test_settings_are_written_only_where_they_differ() -> None:
 
 def test_lost_repeated_and_damaged_packets_are_counted_and_nothing_is_invented() -> None:
     brain = MtiModel(seed=6)
-    with served(brain, Misbehaviour(lose=0.05, duplicate=0.05, corrupt=0.03, seed=1)) as server:
+    with served(brain, FaultInjection(lose=0.05, duplicate=0.05, corrupt=0.03, seed=1)) as server:
         source, feed = read(server, 900, rate_hz=400, baud=460800)
-        mishaps = server.mishaps
+        injector = server.injector
     assert feed.error is None
     number = feed.data("timing")["counter"]
     np.testing.assert_allclose(feed.data("imu"), truth(brain, source, number), rtol=1e-6, atol=1e-6)
     assert sum(feed.lost("imu").values()) == number[-1] - number[0] + 1 - len(number) == feed.problems["lost packet"]
     assert (
-        abs(feed.problems["lost packet"] - mishaps.lost - mishaps.corrupted) <= 12
+        abs(feed.problems["lost packet"] - injector.lost - injector.corrupted) <= 12
     )  # those spoilt twice, or at the end
-    assert abs(feed.problems["repeated packet"] - mishaps.duplicated) <= 8
+    assert abs(feed.problems["repeated packet"] - injector.duplicated) <= 8
     assert feed.problems["resync"] > 0 and feed.problems["bytes that are no packet"] > 0
 
 
 def test_a_stall_loses_nothing_and_stamps_stay_even() -> None:
-    with served(MtiModel(), Misbehaviour(stall_every_s=1.5, stall_s=0.7, from_s=0.5)) as server:
+    with served(MtiModel(), FaultInjection(stall_every_s=1.5, stall_s=0.7, from_s=0.5)) as server:
         _, feed = read(server, 400)
     assert feed.lost("imu") == {} and not feed.problems
     assert np.diff(feed.time("imu")[30:]).max() < 20e6 and np.diff(feed.data("timing")["arrival"]).max() > 0.6e9
 
 
 def test_counters_that_begin_again_are_marked_and_time_goes_on() -> None:
-    with served(MtiModel(), Misbehaviour(reset_every_s=1.3)) as server:
+    with served(MtiModel(), FaultInjection(reset_every_s=1.3)) as server:
         _, feed = read(server, 300)
     assert feed.problems["counter reset"] >= 1 and -1 in feed.lost("imu").values()
     assert np.abs(feed.data("timing")["arrival"] - feed.time("imu")).max() < 0.5e9
@@ -352,4 +352,4 @@ def test_the_simulated_sensor_stands_in_for_the_real_one() -> None:
             assert replace(there, port=port) == source
             with reading(there) as feed:
                 wait_for(lambda feed=feed: feed.count("imu") >= 5)
-    assert Simulated().brain().hear(xbus.message(xbus.REQUEST_DEVICE_ID)) == xbus.message(xbus.ERROR, b"\x04")
+    assert Simulated().brain().receive(xbus.message(xbus.REQUEST_DEVICE_ID)) == xbus.message(xbus.ERROR, b"\x04")

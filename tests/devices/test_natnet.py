@@ -15,7 +15,7 @@ from kinegraph.devices.natnet.build import build_frame, build_models
 from kinegraph.devices.natnet.protocol import NatNetError, Version
 from kinegraph.devices.natnet.simulator import MODELS, NatNetScene, NatNetServer
 from kinegraph.devices.natnet.source import NatNet
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from tests.support.device_feed import check, reading, wait_for
 
 VERSIONS: list[Version] = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2)]
@@ -119,7 +119,7 @@ def test_a_server(version: Version, multicast: bool) -> None:
 
 
 def test_frames_lost_are_known_from_their_number_and_doubled_ones_left_out() -> None:
-    with NatNetServer(NatNetScene(), (3, 1), misbehaviour=Misbehaviour(lose=0.05, duplicate=0.05, seed=1)) as server:
+    with NatNetServer(NatNetScene(), (3, 1), faults=FaultInjection(lose=0.05, duplicate=0.05, seed=1)) as server:
         source = replace(SOURCE, port=server.port, analog=(), markers=())
         with reading(source) as feed:
             wait_for(lambda: feed.error is not None or feed.count("bodies") > 200)

@@ -26,7 +26,7 @@ from kinegraph.devices.oak.discovery import described
 from kinegraph.devices.oak.library import NONE, all_cameras, library, not_opened, ns
 from kinegraph.devices.oak.simulator import BOOTED_S, SimulatedCamera, SimulatedOak
 from kinegraph.devices.oak.simulator import OakSimulator as Simulated
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.stream.chunk import NS, StreamSpec
 from kinegraph.stream.engine.session import Session
 from kinegraph.stream.errors import DeviceError, GraphError, ParameterError
@@ -245,10 +245,10 @@ SMALL = Oak(width=160, height=100)
 
 @contextmanager
 def plugged_in(
-    of: Oak = SMALL, misbehaviour: Misbehaviour = GOOD, **more: Any
+    of: Oak = SMALL, faults: FaultInjection = GOOD, **more: Any
 ) -> Iterator[tuple[SimulatedOak, SimulatedCamera]]:
     device = Simulated(width=of.width, height=of.height, fps=of.fps, imu_hz=of.imu_hz, **more)
-    with device.plugged_in(misbehaviour) as simulated:
+    with device.plugged_in(faults) as simulated:
         yield SimulatedOak.of(of, simulated), simulated
 
 
@@ -277,7 +277,7 @@ class TestWithDepthai:
         assert feed.data("imu")[:, 2].mean() == pytest.approx(9.81, abs=0.02)
 
     def test_lost_and_repeated_frames_are_counted(self) -> None:
-        with plugged_in(misbehaviour=Misbehaviour(lose=0.2, duplicate=0.2, seed=1)) as (source, simulated):
+        with plugged_in(faults=FaultInjection(lose=0.2, duplicate=0.2, seed=1)) as (source, simulated):
             with reading(source) as feed:
                 wait_for(lambda: feed.count("depth") >= 60)
             shown(feed, simulated)
@@ -328,7 +328,7 @@ class TestWithDepthai:
             shown(feed, simulated)
 
     def test_silent_though_connected_it_is_given_up(self) -> None:
-        stalls = Misbehaviour(stall_every_s=1.0, stall_s=0.9)
+        stalls = FaultInjection(stall_every_s=1.0, stall_s=0.9)
         with plugged_in(replace(SMALL, lost_after_s=0.3), stalls) as (source, _), reading(source) as feed:
             wait_for(lambda: feed.error is not None)
         assert "no frame from the OAK camera for 0.3 s, though it is connected" in str(feed.error)

@@ -31,7 +31,7 @@ from kinegraph.devices.oak.simulated_keypoints import detection
 from kinegraph.devices.oak.simulator import BOOTED_S, SimulatedCamera, SimulatedOak
 from kinegraph.devices.oak.simulator import OakSimulator as Simulated
 from kinegraph.devices.people.rendered_performer import EMPTY_S, POINTS
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.operators.body import names, placing
 from kinegraph.stream.chunk import NS, Samples
 from kinegraph.stream.engine.pipeline import Pipeline
@@ -463,9 +463,9 @@ class TestOnDepthai:
 
 
 @contextmanager
-def plugged_in(misbehaviour: Misbehaviour = GOOD, **more: Any) -> Iterator[tuple[SimulatedOak, SimulatedCamera]]:
+def plugged_in(faults: FaultInjection = GOOD, **more: Any) -> Iterator[tuple[SimulatedOak, SimulatedCamera]]:
     of = Oak(width=320, height=200, network="is not needed")
-    with Simulated(width=320, height=200, network=True, **more).plugged_in(misbehaviour) as camera:
+    with Simulated(width=320, height=200, network=True, **more).plugged_in(faults) as camera:
         source = SimulatedOak.of(of, camera)
         source.prepare()
         yield source, camera
@@ -498,7 +498,7 @@ class TestSimulated:
         assert np.nanmean(off) < 0.06 and np.nanmean(off, axis=0).max() < 0.12, np.nanmean(off, axis=0)
 
     def test_frames_that_were_lost_are_gaps_and_the_rest_is_right(self) -> None:
-        with plugged_in(Misbehaviour(lose=0.2, seed=3), blind_every_s=1.5, blind_s=0.3) as (source, camera):
+        with plugged_in(FaultInjection(lose=0.2, seed=3), blind_every_s=1.5, blind_s=0.3) as (source, camera):
             with reading(source) as feed:
                 wait_for(lambda: feed.error is not None or feed.count("markers") >= 150, 60)
             assert feed.error is None

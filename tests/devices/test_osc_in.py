@@ -15,7 +15,7 @@ import pytest
 from kinegraph.devices.frames.source import Binary
 from kinegraph.devices.osc.inlet import OscInlet
 from kinegraph.devices.osc.simulator import OscModel, serving
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.stream.errors import DeviceError, ParameterError
 from kinegraph.stream.params import build
 from kinegraph.stream.recording import Recording
@@ -86,7 +86,7 @@ def test_the_senders_time_is_followed() -> None:
 
 def test_a_network_that_loses_and_doubles() -> None:
     source = inlet()
-    with serving(OscModel(source), Misbehaviour(lose=0.05, duplicate=0.05, seed=2)) as port:
+    with serving(OscModel(source), FaultInjection(lose=0.05, duplicate=0.05, seed=2)) as port:
         source = replace(source, port=port)
         with reading(source) as feed:
             wait_for(lambda: feed.count("motion") > 300)

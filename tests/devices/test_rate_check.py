@@ -12,7 +12,7 @@ from kinegraph.devices.cyton.simulator import CytonModel
 from kinegraph.devices.cyton.source import Cyton
 from kinegraph.devices.lines.indexed_simulator import Indexed
 from kinegraph.devices.lines.source import AsciiLines
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.engine.session import Session
 from kinegraph.stream.errors import RunError
@@ -71,15 +71,15 @@ def test_with_warn_the_stamps_follow_the_true_rate(
 
 @pytest.mark.parametrize(
     "wrong",
-    [GOOD, Misbehaviour(lose=0.1), Misbehaviour(lose=0.05, duplicate=0.06, corrupt=0.02, reset_every_s=1.9),
-     Misbehaviour(stall_every_s=1.3, stall_s=0.4),
-     Misbehaviour(reset_every_s=1.9),
-     Misbehaviour(jump_every_s=2.0, jump_s=3600.0)],
+    [GOOD, FaultInjection(lose=0.1), FaultInjection(lose=0.05, duplicate=0.06, corrupt=0.02, reset_every_s=1.9),
+     FaultInjection(stall_every_s=1.3, stall_s=0.4),
+     FaultInjection(reset_every_s=1.9),
+     FaultInjection(jump_every_s=2.0, jump_s=3600.0)],
 )  # fmt: skip
 @pytest.mark.parametrize("clock", ["counter", "time", "both"])
 @pytest.mark.parametrize("drift_ppm", [0.0, 200.0, -20_000.0])
 def test_a_device_as_declared_is_left_alone(
-    clock: str, wrong: Misbehaviour, drift_ppm: float, monkeypatch: pytest.MonkeyPatch
+    clock: str, wrong: FaultInjection, drift_ppm: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = {"counter": "n" if clock in ("counter", "both") else "", "time": "t" if clock in ("time", "both") else ""}
     source = AsciiLines("a", COLUMNS, time_bits=0, rate_hz=DECLARED, **given)  # type: ignore[arg-type]

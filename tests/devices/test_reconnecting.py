@@ -9,7 +9,7 @@ import pytest
 from kinegraph.devices.discovery import serial_ports
 from kinegraph.devices.lines.indexed_simulator import Indexed
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.devices.transport.transport import connect, present
 from kinegraph.stream.engine.session import Session
@@ -19,7 +19,7 @@ from kinegraph.stream.recording import Recording
 
 
 def test_what_is_not_there_is_not_opened_and_what_comes_back_is_opened_at_once(tmp_path: Path) -> None:
-    wrong = Misbehaviour(unplug_every_s=2.0, unplug_s=1.0)
+    wrong = FaultInjection(unplug_every_s=2.0, unplug_s=1.0)
     with Indexed(rate_hz=200).serving(wrong) as port:
         graph = load_text(
             f"nodes: {{lines: {{use: devices.lines.AsciiLines, port: {port}, columns: [i, t, n], time: t, rate_hz: 200}}}}"

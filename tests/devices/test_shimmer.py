@@ -15,7 +15,7 @@ from kinegraph.devices.shimmer.protocol import TICKS, ShimmerDecoder, ShimmerPac
 from kinegraph.devices.shimmer.simulator import ShimmerModel
 from kinegraph.devices.shimmer.source import Shimmer
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, ParameterError
@@ -202,8 +202,8 @@ def test_exg_registers_and_gain() -> None:
 # the source ----------------------------------------------------------------------------------------------------------
 
 
-def read(brain: ShimmerModel, n: int, misbehaviour: Misbehaviour = GOOD, address: str = "", **given: object) -> Kept:
-    with Server(brain, line_at(address, "rfcommSHIM"), misbehaviour) as server:
+def read(brain: ShimmerModel, n: int, faults: FaultInjection = GOOD, address: str = "", **given: object) -> Kept:
+    with Server(brain, line_at(address, "rfcommSHIM"), faults) as server:
         source = replace(Shimmer(server.address, rate_hz=512), **given)  # type: ignore[arg-type]
         with reading(source) as feed:
             wait_for(lambda: feed.error is not None or feed.count("timing") >= n, 60)
@@ -255,7 +255,7 @@ def test_ranges_and_ecg(board: tuple[int, int, int], code: int) -> None:
 
 def test_lost_packets_are_counted_and_nothing_is_invented() -> None:
     brain = ShimmerModel(seed=4)
-    wrong = Misbehaviour(lose=0.03, duplicate=0.02, seed=2)
+    wrong = FaultInjection(lose=0.03, duplicate=0.02, seed=2)
     feed = read(brain, 1000, wrong, sensors=("acceleration", "angular_velocity", "emg"))
     assert feed.error is None and feed.problems["repeated packet"] > 5
     number = np.round((feed.data("timing")["device"] * 32768 / NS - 1000) / brain.divider).astype(int)
@@ -267,13 +267,13 @@ def test_lost_packets_are_counted_and_nothing_is_invented() -> None:
 
 
 def test_damage_costs_packets_or_passes_unseen() -> None:
-    feed = read(ShimmerModel(), 1000, Misbehaviour(corrupt=0.08, seed=2))
+    feed = read(ShimmerModel(), 1000, FaultInjection(corrupt=0.08, seed=2))
     assert feed.error is None and feed.problems["resync"] > 5 and feed.problems["lost packet"] > 5
 
 
 def test_a_stall_is_no_loss_and_a_restart_is_told() -> None:
-    assert not read(ShimmerModel(), 700, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
-    feed = read(ShimmerModel(), 800, Misbehaviour(reset_every_s=1.0))
+    assert not read(ShimmerModel(), 700, FaultInjection(stall_every_s=1.0, stall_s=0.3)).problems
+    feed = read(ShimmerModel(), 800, FaultInjection(reset_every_s=1.0))
     assert feed.error is None and feed.problems["device restarted"] >= 1 and -1 in feed.lost("motion").values()
 
 

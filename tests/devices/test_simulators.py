@@ -20,7 +20,7 @@ from kinegraph.devices.cyton.simulator import CytonModel
 from kinegraph.devices.cyton.source import Cyton
 from kinegraph.devices.simulation.cable import PseudoTerminal, TcpLine, line_at
 from kinegraph.devices.simulation.catalogue import find, named
-from kinegraph.devices.simulation.fault_injection import Misbehaviour, Mishaps
+from kinegraph.devices.simulation.fault_injection import FaultInjection, FaultInjector
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.devices.transport.transport import connect
 from kinegraph.stream.errors import DeviceError, KinegraphError
@@ -37,7 +37,7 @@ class Ticking:
     def __init__(self) -> None:
         self.said = 0
 
-    def hear(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         return data.upper()
 
     def say(self, seconds: float) -> list[bytes]:
@@ -126,31 +126,31 @@ def pull_out(server: Server) -> None:
 
 def test_misbehaviour_has_the_stated_shares_and_is_the_same_for_a_seed() -> None:
     packets = [i.to_bytes(4, "big") for i in range(20_000)]
-    of = Misbehaviour(lose=0.1, duplicate=0.05, corrupt=0.02, seed=3)
-    mishaps = Mishaps(of)
-    sent = mishaps.spoil(packets, 1.0)
-    assert sent == Mishaps(of).spoil(packets, 1.0)
-    assert sent != Mishaps(Misbehaviour(lose=0.1, duplicate=0.05, corrupt=0.02, seed=4)).spoil(packets, 1.0)
-    assert mishaps.lost == pytest.approx(2000, abs=200)
-    assert mishaps.duplicated == pytest.approx(900, abs=120)
-    assert mishaps.corrupted == pytest.approx(360, abs=70)
-    assert len(sent) == len(packets) - mishaps.lost + mishaps.duplicated
-    assert Mishaps(Misbehaviour()).spoil(packets, 1.0) == packets
-    assert Mishaps(Misbehaviour(lose=1.0, from_s=2.0)).spoil(packets, 1.9) == packets
+    of = FaultInjection(lose=0.1, duplicate=0.05, corrupt=0.02, seed=3)
+    injector = FaultInjector(of)
+    sent = injector.spoil(packets, 1.0)
+    assert sent == FaultInjector(of).spoil(packets, 1.0)
+    assert sent != FaultInjector(FaultInjection(lose=0.1, duplicate=0.05, corrupt=0.02, seed=4)).spoil(packets, 1.0)
+    assert injector.lost == pytest.approx(2000, abs=200)
+    assert injector.duplicated == pytest.approx(900, abs=120)
+    assert injector.corrupted == pytest.approx(360, abs=70)
+    assert len(sent) == len(packets) - injector.lost + injector.duplicated
+    assert FaultInjector(FaultInjection()).spoil(packets, 1.0) == packets
+    assert FaultInjector(FaultInjection(lose=1.0, from_s=2.0)).spoil(packets, 1.9) == packets
 
 
 def test_stalls_and_pulled_cables_come_when_they_are_due() -> None:
-    mishaps = Mishaps(
-        Misbehaviour(stall_every_s=2.0, stall_s=0.5, unplug_every_s=3.0, unplug_s=1.0, reset_every_s=4.0, from_s=1.0)
+    injector = FaultInjector(
+        FaultInjection(stall_every_s=2.0, stall_s=0.5, unplug_every_s=3.0, unplug_s=1.0, reset_every_s=4.0, from_s=1.0)
     )
     seconds = np.arange(0, 9, 0.25)
-    assert [s for s in seconds if mishaps.stalled(s)] == [3.0, 3.25, 5.0, 5.25, 7.0, 7.25]
-    assert [s for s in seconds if mishaps.unplugged(s)] == [4.0, 4.25, 4.5, 4.75, 7.0, 7.25, 7.5, 7.75]
-    assert [mishaps.resets(s) for s in (0.0, 4.9, 5.0, 9.0)] == [0, 0, 1, 2]
+    assert [s for s in seconds if injector.stalled(s)] == [3.0, 3.25, 5.0, 5.25, 7.0, 7.25]
+    assert [s for s in seconds if injector.unplugged(s)] == [4.0, 4.25, 4.5, 4.75, 7.0, 7.25, 7.5, 7.75]
+    assert [injector.resets(s) for s in (0.0, 4.9, 5.0, 9.0)] == [0, 0, 1, 2]
 
 
 def test_a_cable_that_is_pulled_out_by_itself_comes_back() -> None:
-    wrong = Misbehaviour(unplug_every_s=0.5, unplug_s=0.2)
+    wrong = FaultInjection(unplug_every_s=0.5, unplug_s=0.2)
     with Server(CytonModel(), line_at(), wrong) as server:
         for _ in range(2):
             with reading(_when_there(server)) as feed:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from kinegraph.devices.clocks.pace import DevicePace
 from kinegraph.devices.clocks.rate_check import Policy, RateCheck
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.trigno import protocol as protocol
 from kinegraph.devices.trigno.protocol import TrignoRows
 from kinegraph.devices.trigno.simulator import Station, StationLine, TrignoModel
@@ -108,13 +108,13 @@ def test_a_duo_moves_the_columns_of_the_sensors_behind_it() -> None:
 
 
 @contextmanager
-def station(brain: TrignoModel, misbehaviour: Misbehaviour = GOOD) -> Iterator[Station]:
-    with Station(brain, StationLine("tcp://127.0.0.1:0"), misbehaviour) as there:
+def station(brain: TrignoModel, faults: FaultInjection = GOOD) -> Iterator[Station]:
+    with Station(brain, StationLine("tcp://127.0.0.1:0"), faults) as there:
         yield there
 
 
-def read(brain: TrignoModel, n: int, misbehaviour: Misbehaviour = GOOD, **given: object) -> Kept:
-    with station(brain, misbehaviour) as there:
+def read(brain: TrignoModel, n: int, faults: FaultInjection = GOOD, **given: object) -> Kept:
+    with station(brain, faults) as there:
         source = replace(Trigno(there.address, SENSORS), **given)  # type: ignore[arg-type]
         with reading(source) as feed:
             wait_for(lambda: feed.error is not None or feed.count("emg") >= n, 60)
@@ -147,14 +147,14 @@ def test_channels_have_the_names_of_the_graph() -> None:
 
 
 def test_what_goes_wrong_is_counted() -> None:
-    feed = read(TrignoModel(), 2500, Misbehaviour(corrupt=0.2, seed=2))
+    feed = read(TrignoModel(), 2500, FaultInjection(corrupt=0.2, seed=2))
     assert feed.error is None and feed.problems["impossible value"] >= np.isnan(feed.data("emg")).sum() > 0
-    feed = read(TrignoModel(), 9000, Misbehaviour(lose=0.12, seed=2), rate_mismatch="warn")
+    feed = read(TrignoModel(), 9000, FaultInjection(lose=0.12, seed=2), rate_mismatch="warn")
     assert feed.error is None and feed.problems["lost count"] >= 1 and -1 in feed.lost("emg").values()
 
 
 def test_a_stall_is_no_loss() -> None:
-    assert not read(TrignoModel(), 3500, Misbehaviour(stall_every_s=1.0, stall_s=0.3)).problems
+    assert not read(TrignoModel(), 3500, FaultInjection(stall_every_s=1.0, stall_s=0.3)).problems
 
 
 def test_unplugged_in_mid_sample() -> None:

@@ -70,7 +70,7 @@ class Script:
 
     def write(self, data: bytes) -> None:
         self.begun = self.begun or data == self.begin
-        self.answers += self.brain.hear(data)
+        self.answers += self.brain.receive(data)
 
     def __enter__(self) -> Script:
         return self

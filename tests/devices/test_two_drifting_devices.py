@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinegraph.devices.lines.indexed_simulator import Indexed, IndexedBrain
+from kinegraph.devices.lines.indexed_simulator import Indexed, IndexedModel
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.stream.chunk import NS, Samples
 from kinegraph.stream.cli.commands.info import clocks
@@ -21,12 +21,12 @@ from tests.support.command_line import Command
 
 WITHIN_S = 0.010
 BOARD, LEG = Indexed(rate_hz=250, drift_ppm=80), Indexed(rate_hz=200, drift_ppm=-60)
-LOST = Misbehaviour(unplug_every_s=3.5, unplug_s=0.8, jump_every_s=5.0, jump_s=-5.0)
+LOST = FaultInjection(unplug_every_s=3.5, unplug_s=0.8, jump_every_s=5.0, jump_s=-5.0)
 """The cable is out at 3.5, 7 and 10.5 s; at 5 and 10 s the clock starts again at 0."""
 SECONDS = 12.5
 
 
-class Timed(IndexedBrain):
+class Timed(IndexedModel):
     """The same, and when (Unix time, ns) it was switched on."""
 
     began = 0

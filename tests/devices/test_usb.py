@@ -21,7 +21,7 @@ from kinegraph.devices.mti.simulator import MtiModel
 from kinegraph.devices.mti.simulator import SimulatedMti as SimulatedMti
 from kinegraph.devices.mti.source import Mti
 from kinegraph.devices.people.walking_limb import GRAVITY
-from kinegraph.devices.simulation.fault_injection import GOOD, Misbehaviour
+from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.devices.transport import usb_bus as bus
 from kinegraph.devices.transport.transport import connect
@@ -227,7 +227,7 @@ def test_a_session_goes_on_when_the_cable_is_put_in_again(tmp_path: Path) -> Non
         "nodes: {mti: {use: devices.mti.Mti, port: usb://2639}, smooth: {use: operators.filters.iir.Lowpass, from: mti, cutoff_hz: 5}}\n"
         "record: [smooth]",
     )
-    with SimulatedMti().on_usb(Misbehaviour(unplug_every_s=3.0, unplug_s=0.6)):
+    with SimulatedMti().on_usb(FaultInjection(unplug_every_s=3.0, unplug_s=0.6)):
         Session(graph, tmp_path / "session", duration_s=8.0).run()
     with Recording.open(tmp_path / "session") as recording:
         lost = [chunk.lost for chunk in recording.chunks("mti.imu") if chunk.lost]
@@ -271,7 +271,10 @@ def test_an_mti_on_usb_gives_what_it_gives_on_a_serial_line(given: dict[str, obj
 
 
 def test_losses_on_usb_are_found_by_counter() -> None:
-    with SimulatedMti().on_usb(Misbehaviour(lose=0.05, corrupt=0.02, seed=5)) as address, reading(Mti(address)) as feed:
+    with (
+        SimulatedMti().on_usb(FaultInjection(lose=0.05, corrupt=0.02, seed=5)) as address,
+        reading(Mti(address)) as feed,
+    ):
         wait_for(lambda: feed.error is not None or feed.count("imu") >= 300, 60)
     assert feed.error is None
     number = feed.data("timing")["counter"]
@@ -287,8 +290,8 @@ def dualsense(**changes: object) -> Endpoint:
     return replace(part, **changes)
 
 
-def read(source: Endpoint, misbehaviour: Misbehaviour = GOOD, n: int = 300) -> Kept:
-    with serving(source, misbehaviour) as address:
+def read(source: Endpoint, faults: FaultInjection = GOOD, n: int = 300) -> Kept:
+    with serving(source, faults) as address:
         there = replace(source, port=address)
         with reading(there) as feed:
             wait_for(lambda: feed.error is not None or feed.count("imu") >= n, 60)
@@ -328,7 +331,7 @@ def test_what_the_controller_measures_arrives() -> None:
 
 
 def test_lost_and_repeated_reports_are_counted() -> None:
-    feed = read(dualsense(), Misbehaviour(lose=0.05, duplicate=0.05, seed=3), 600)
+    feed = read(dualsense(), FaultInjection(lose=0.05, duplicate=0.05, seed=3), 600)
     assert feed.error is None
     device = feed.data("timing")["device"]
     assert np.abs(feed.data("imu") - truth(feed)).max() < 0.05
@@ -338,9 +341,9 @@ def test_lost_and_repeated_reports_are_counted() -> None:
 
 
 def test_a_controller_that_starts_again_and_one_that_is_unplugged() -> None:
-    feed = read(dualsense(), Misbehaviour(reset_every_s=1.2), 600)
+    feed = read(dualsense(), FaultInjection(reset_every_s=1.2), 600)
     assert feed.error is None and feed.problems["device restarted"] >= 1 and -1 in feed.lost("imu").values()
-    feed = read(dualsense(), Misbehaviour(unplug_every_s=1.0), 10**9)
+    feed = read(dualsense(), FaultInjection(unplug_every_s=1.0), 10**9)
     assert isinstance(feed.error, DeviceError) and "it is gone" in str(feed.error)
     assert feed.problems["bytes that are no frame"] <= 63, "half a report"
 

@@ -33,7 +33,7 @@ def entered(stamps: list[int], until: int, lost: int = 0) -> Any:
     return told(chunk(stamps, until, lost))
 
 
-NO = {"awaited": False}
+NO = {"has_readers": False}
 TABLE = {
     "in order": (chunk([5, 6], 6), 4, 0, {}, entered([5, 6], 6), 0),
     "the first ever": (chunk([5], 5), NEVER, 0, {}, entered([5], 5), 0),
@@ -70,23 +70,25 @@ def test_a_word_is_stamped_by_the_data_and_never_late(case: str) -> None:
     made = followed(given, watermark, newest)
     assert (made.time.tolist(), made.until, made.lost) == (times, until, lost)
     assert made.data.tolist() == given.data.tolist()
-    assert admit(made, watermark, 0, 0, awaited=True, watched=False).late == 0
+    assert admit(made, watermark, 0, 0, has_readers=True, checks_clock=False).late == 0
 
 
 @pytest.mark.parametrize("case", TABLE)
 def test_what_enters(case: str) -> None:
-    given, watermark, owed, options, expected, late = TABLE[case]
+    given, watermark, pending_gap, options, expected, late = TABLE[case]
     before = told(given)
-    verdict = admit(given, watermark, owed, arrival=0, **{"awaited": True, "watched": False, **options})
+    verdict = admit(given, watermark, pending_gap, arrival=0, **{"has_readers": True, "checks_clock": False, **options})
     assert (told(verdict.chunk), verdict.late) == (expected, late)
     assert told(given) == before, "what a source gave is left as it is"
-    again = admit(given, watermark, owed, arrival=0, **{"awaited": True, "watched": False, **options})
+    again = admit(given, watermark, pending_gap, arrival=0, **{"has_readers": True, "checks_clock": False, **options})
     assert told(again.chunk) == expected
 
 
-@pytest.mark.parametrize(("until", "watched", "ahead_ns"), [(NS, True, 0), (3 * NS, True, 3 * NS), (3 * NS, False, 0)])
-def test_stamps_ahead_of_the_clock_are_reported(until: int, watched: bool, ahead_ns: int) -> None:
-    assert admit(chunk([until], until), 0, 0, 0, awaited=True, watched=watched).ahead_ns == ahead_ns
+@pytest.mark.parametrize(
+    ("until", "checks_clock", "ahead_ns"), [(NS, True, 0), (3 * NS, True, 3 * NS), (3 * NS, False, 0)]
+)
+def test_stamps_ahead_of_the_clock_are_reported(until: int, checks_clock: bool, ahead_ns: int) -> None:
+    assert admit(chunk([until], until), 0, 0, 0, has_readers=True, checks_clock=checks_clock).ahead_ns == ahead_ns
 
 
 @pytest.mark.parametrize(

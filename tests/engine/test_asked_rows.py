@@ -38,7 +38,7 @@ class _Looks(Operator[None]):
     __slots__ = ()
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(None)
+        self.set_state(None)
         return {"out": StreamSpec((1,))}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -72,7 +72,7 @@ class Gain(Operator[None]):
     factor: float = 2.0
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(None)
+        self.set_state(None)
         return {"out": specs["in"].derive(dtype=np.dtype(np.float64))}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

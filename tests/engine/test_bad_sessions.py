@@ -54,7 +54,7 @@ class Raises(Operator[State]):
     """Raises in the middle of the stream."""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(State())
+        self.set_state(State())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
@@ -105,7 +105,9 @@ def test_what_an_operator_raises_elsewhere_ends_nothing_else(
     module = re.sub(r"\W", "", f"{where}{error}")
     text = RAISES.replace('raise ZeroDivisionError("division by zero")', "pass")
     closing = f"\n    def close(self) -> None:\n        if self.state.seen > 1000:\n            raise {error}\n"
-    text = text.replace("self.hold", f"raise {error}\n        self.hold") if where == "open" else text + closing
+    text = (
+        text.replace("self.set_state", f"raise {error}\n        self.set_state") if where == "open" else text + closing
+    )
     (tmp_path / f"{module}.py").write_text(text)
     (tmp_path / "g.yaml").write_text(BOARD % 2 + f"  bad: {{use: {module}.Raises, from: board.emg}}\n")
     told = kinegraph("run", "g.yaml", *QUIET, "-o", "s")

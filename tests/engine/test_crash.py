@@ -262,7 +262,7 @@ class State:
 @dataclass(frozen=True, slots=True)
 class Sum(Operator[State]):
     def open(self, specs):
-        self.hold(State())
+        self.set_state(State())
         return {"out": specs["in"]}
 
     def process(self, port, chunk):

@@ -79,7 +79,7 @@ class Node(Stuck, Operator):
     at: int = param(500)
 
     def open(self, specs):
-        self.hold(State(0))
+        self.set_state(State(0))
         return {"out": specs["in"]}
 
 
@@ -89,7 +89,7 @@ class Out(Stuck, Outlet):
     at: int = param(500)
 
     def open(self, specs):
-        self.hold(State(0))
+        self.set_state(State(0))
         return {}
 '''
 RUN = """
@@ -221,7 +221,7 @@ class Nothing:
 @dataclass(frozen=True, slots=True)
 class Slow(Operator[Nothing]):
     def open(self, specs):
-        self.hold(Nothing())
+        self.set_state(Nothing())
         return {{"out": specs["in"]}}
 {process}
 """

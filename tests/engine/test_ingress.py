@@ -266,11 +266,11 @@ class Gathered:
 
     def __init__(self) -> None:
         self.queue = SimpleNamespace(gathered=deque(), limit=256)
-        self.runner: Any = SimpleNamespace(state="running", inline={})
+        self.supervisor: Any = SimpleNamespace(state="running", inline={})
         self.queue.depth = 0
         self.output, self.gathers, self.last = "out", True, time.monotonic()
         self.turn, self.entered = GraphTurn(open=True), list[int]()
-        nothing: Any = SimpleNamespace(lull=lambda: None, port=None)
+        nothing: Any = SimpleNamespace(idle_hint=lambda: None, port=None)
         me: Any = self
         self.gather = _gathering(me, me, lambda *_: True, 0, nothing, nothing, lambda _: None)
 

@@ -376,7 +376,7 @@ class Mine(Operator[State]):
     factor: float = param({factor})
 
     def open(self, specs):
-        self.hold(State(0))
+        self.set_state(State(0))
         return {{"out": specs["in"]}}
 """
 

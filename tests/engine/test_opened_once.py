@@ -109,7 +109,7 @@ class Sloppy(Operator[Total]):
     """A running sum that remembers beside its state what no snapshot holds: how many samples it has had."""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Total())
+        self.set_state(Total())
         object.__setattr__(self, "count", [0])
         return {"out": specs["in"].derive(shape=(1,), channels=("sum",), units=("",))}
 
@@ -127,7 +127,7 @@ class Keeps(Outlet[None]):
     """Puts what it is given into GIVEN."""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(None)
+        self.set_state(None)
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:

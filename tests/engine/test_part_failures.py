@@ -59,11 +59,11 @@ class FailingOperator(Fails, Operator[Samples]):
 
     def open(self, specs: Specs) -> Specs:
         self.at("open")
-        self.hold(Samples())
+        self.set_state(Samples())
         return {"out": specs["in"]}
 
-    def suits(self, session: Mapping[str, Any]) -> None:
-        self.at("suits")
+    def check_session(self, session: Mapping[str, Any]) -> None:
+        self.at("check_session")
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         self.state.n += len(chunk)
@@ -91,7 +91,7 @@ class FailingOutlet(Fails, Outlet[Samples]):
     how: str = param("own")
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Samples())
+        self.set_state(Samples())
         return {}
 
     def meet(self, graph: Any) -> None:
@@ -163,10 +163,10 @@ nodes:
   operator: {{use: tests.engine.test_part_failures.FailingOperator, from: source, where: {operator}, how: {how}}}
   outlet: {{use: tests.engine.test_part_failures.FailingOutlet, from: operator, where: {outlet}, how: {how}}}
 """
-BEFORE = {"__post_init__", "open", "suits", "memory_bytes", "specs", "facts", "live", "chunk_s", "prepare"}
+BEFORE = {"__post_init__", "open", "check_session", "memory_bytes", "specs", "facts", "live", "chunk_s", "prepare"}
 """In which nothing is recorded yet."""
 WHERE = [
-    *(("operator", where) for where in ("__post_init__", "open", "suits", "process", "snapshot", "close", "memory_bytes")),
+    *(("operator", where) for where in ("__post_init__", "open", "check_session", "process", "snapshot", "close", "memory_bytes")),
     *(("outlet", where) for where in ("meet", "keep_time", "let_stop", "begin", "process", "close", "file")),
     *(("source", where) for where in ("specs", "facts", "live", "chunk_s", "prepare", "present", "read")),
 ]  # fmt: skip

@@ -39,7 +39,7 @@ class Quiet(Outlet[None]):
     """An outlet by itself lacks nothing."""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(None)
+        self.set_state(None)
         return {}
 
 

@@ -40,7 +40,7 @@ class TwoInputs(Operator[Nothing]):
     factor: float = param(1.0)
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing())
+        self.set_state(Nothing())
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Chunk | None:
@@ -106,7 +106,7 @@ class InOrder(Operator[Newest]):
     inputs: ClassVar[tuple[str, ...]] = ("in", "other")
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Newest(0))
+        self.set_state(Newest(0))
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Chunk | None:

@@ -18,14 +18,14 @@ from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.recording.series import Series
 
 
-def read(files, wishes, last):
+def read(files, options, last):
     made = []
     for file in files:
         if not file.exists():
             raise RecordingError(f"{file}: there is no such file")
         data = np.array([[float(word)] for word in file.read_text().split()])
         made.append(Series(file.stem, StreamSpec((1,), rate_hz=10.0), np.arange(len(data)) * NS // 10, data))
-    return made, wishes
+    return made, options
 
 
 def write(wanted):

@@ -16,7 +16,7 @@ import pyedflib
 import pytest
 import scipy.io
 
-from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.devices.formats.importer import read_files
 from kinegraph.stream.chunk import NS, StreamSpec
 from kinegraph.stream.errors import RecordingError
@@ -70,7 +70,7 @@ def export(tmp_path: Path, name: str, *arguments: object) -> Path:
 
 def again(path: Path) -> dict[str, Series]:
     """An export as it is imported again."""
-    return {one.name.removeprefix(path.stem).removeprefix("."): one for one in read_files([path], Wishes())}
+    return {one.name.removeprefix(path.stem).removeprefix("."): one for one in read_files([path], ImportOptions())}
 
 
 def test_excel(tmp_path: Path, walk: dict[str, Series]) -> None:
@@ -194,10 +194,10 @@ def test_bids(tmp_path: Path, walk: dict[str, Series]) -> None:
     assert names["type"].tolist() == ["EMG", "EMG"] and names["units"].tolist() == ["uV", "uV"]
     events = pandas.read_csv(emg.with_name("sub-S01_task-walk_events.tsv"), sep="\t")
     assert events["onset"].tolist()[0] == 0 and "right Foot Strike" in events["trial_type"].tolist()
-    wishes = Wishes()
-    back = {one.name.rpartition(".")[2]: one for one in read_files([motion], wishes)}
+    options = ImportOptions()
+    back = {one.name.rpartition(".")[2]: one for one in read_files([motion], options)}
     np.testing.assert_allclose(back["markers"].data, walk["markers"].data, rtol=1e-9)
-    assert wishes.findings.facts["subject"] == "S01"
+    assert options.findings.facts["subject"] == "S01"
 
 
 VALIDATOR = Path(sys.executable).parent / "bids-validator-deno"

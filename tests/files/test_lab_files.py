@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.devices.formats.findings import Findings
 from kinegraph.devices.formats.importer import read_files
 from kinegraph.stream.chunk import NS
@@ -26,10 +26,10 @@ MT_HZ = 100.0
 
 def read(name: str, **said: Any) -> tuple[dict[str, Series], Findings]:
     """The streams of a file by what stands behind its own name."""
-    wishes = Wishes(**said)
+    options = ImportOptions(**said)
     file = FILES / name
-    series = read_files([file], wishes)
-    return {one.name.removeprefix(file.stem).removeprefix("."): one for one in series}, wishes.findings
+    series = read_files([file], options)
+    return {one.name.removeprefix(file.stem).removeprefix("."): one for one in series}, options.findings
 
 
 def of_reader(*readers: str) -> list[str]:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.devices.formats.findings import Findings
 from kinegraph.devices.formats.importer import read_files
 from kinegraph.devices.formats.lab import matlab
@@ -29,8 +29,8 @@ from tests.files import lab_replicas as made
 def read(path: Path, text: str | bytes = b"", **said: Any) -> tuple[dict[str, Series], Findings]:
     if text:
         path.write_bytes(text.encode() if isinstance(text, str) else text)
-    wishes = Wishes(**said)
-    return {s.name.removeprefix(path.stem).removeprefix("."): s for s in read_files([path], wishes)}, wishes.findings
+    options = ImportOptions(**said)
+    return {s.name.removeprefix(path.stem).removeprefix("."): s for s in read_files([path], options)}, options.findings
 
 
 def doubts(findings: Findings) -> str:
@@ -262,8 +262,8 @@ def test_matlab_of_both_versions(tmp_path: Path) -> None:
         found, _ = read(path)
         assert found["emg"].spec.rate_hz == 1000 and np.array_equal(found["emg"].data, emg.T), path
         names = {"streams": {"lab.emg": ["trial.emg"]}, "rate": {"lab.emg": "trial.fs"}}
-        wishes = Wishes(**names, names={"lab.emg": "TA,GM"}, unit={"lab.emg": "mV"})
-        (one,) = read_files([path], wishes)
+        options = ImportOptions(**names, names={"lab.emg": "TA,GM"}, unit={"lab.emg": "mV"})
+        (one,) = read_files([path], options)
         assert one.spec.channels == ("TA", "GM") and one.spec.units == ("mV",) and one.spec.rate_hz == 1000
 
 

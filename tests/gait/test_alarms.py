@@ -13,7 +13,7 @@ import pytest
 from kinegraph.devices.outlets.terminal.alarms import Alarms
 from kinegraph.devices.people.treadmill import Treadmill
 from kinegraph.devices.people.treadmill.faults import Fault, Faults
-from kinegraph.devices.reports.session.contents.tally import hear, nothing_yet
+from kinegraph.devices.reports.session.contents.tally import add_chunk, nothing_yet
 from kinegraph.operators.cycles.cycles import Cycles
 from kinegraph.operators.emg.quality import SignalQuality
 from kinegraph.operators.monitors.cycle_watch import CycleWatch
@@ -144,7 +144,7 @@ def test_two_inputs_may_have_an_alarm_about_the_same_at_once(capsys: pytest.Capt
     tally = nothing_yet(specs)
     for port, chunk in events:
         screen.process(port, chunk)
-        hear(tally, specs, port, chunk)
+        add_chunk(tally, specs, port, chunk)
     assert "over: contacts: no contact" in capsys.readouterr().out
     assert screen.state.what == ["contacts 2.0 % of the cycle later than at first"]
     assert [(str(row["what"])[:10], int(row["over"])) for row in tally.alarms[:2]] == [

@@ -82,7 +82,7 @@ def test_force_crosses_twenty_newton_between_samples() -> None:
     told = feed(operator, NEWTON, force)
     np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=1e-6)
     np.testing.assert_allclose(onsets(told, "liftoff"), down, atol=1e-6)
-    specs = operator.fresh().open({"in": NEWTON})
+    specs = operator.unopened().open({"in": NEWTON})
     assert specs["touchdown"].meta["side"] == "right"
     assert specs["liftoff"].dtype.names == ("onset",)
     delays = [(c.time - c.data["onset"]) / NS for chunks in told.values() for c in chunks]
@@ -347,7 +347,7 @@ def test_cycles_begin_at_the_touchdowns() -> None:
     samples, _, _ = foot(100.0)
     operator = InertialContacts(side="left")
     told = feed(operator, bench.FOOT, samples)
-    closed = cycles_of(told, operator.fresh().open({"in": bench.FOOT}), len(samples) / 100.0)
+    closed = cycles_of(told, operator.unopened().open({"in": bench.FOOT}), len(samples) / 100.0)
     assert len(closed) == 9
     begins = (closed["onset"] - START) / NS
     np.testing.assert_allclose(begins, onsets(told, "touchdown")[:-1], atol=1e-9)
@@ -509,7 +509,7 @@ def test_overground_markers_give_cycles(recordings: Path) -> None:
         spec = StreamSpec((8, 3), rate_hz=100.0, channels=names, units=("mm",))
         operator = MarkerContacts(marker="RTOE", reference="RHIP", side="right")
         told = feed(operator, spec, path)
-        closed = cycles_of(told, operator.fresh().open({"in": spec}), len(path) / 100.0)
+        closed = cycles_of(told, operator.unopened().open({"in": spec}), len(path) / 100.0)
         assert len(closed) == len(onsets(told, "touchdown")) - 1 >= 2, name
         stance = closed["stance_pct"][closed["rejected"] == ""]
         assert ((stance > 50.0) & (stance < 85.0)).all(), (name, stance)

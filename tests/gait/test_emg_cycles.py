@@ -298,7 +298,7 @@ def test_impossible_stance_and_order_of_contacts_are_rejected(lifts, reason):
 
 def test_the_declared_delay_covers_the_samples_that_a_cycle_waits_for():
     spec, time, data, touch = walk(rate=120.0)
-    operator = Cycles().fresh()
+    operator = Cycles().unopened()
     operator.open({"signal": spec, "touchdown": contacts(touch)[0]})
     found = drive(Cycles(), {"signal": (spec, time, data), "touchdown": contacts(touch)}, 1)["closed"]
     waited = (found[1] - found[2]["end"]).max() / 1e9

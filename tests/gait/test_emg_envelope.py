@@ -30,7 +30,7 @@ def spec_of(channels, rate=RATE):
 
 def run(operator, spec, time, data, cuts=(), lost=None):
     """All output chunks with samples joined: stamps, rows, and {row: lost}; checks the promise of `until` on the way."""
-    operator = operator.fresh()
+    operator = operator.unopened()
     operator.open({"in": spec})
     times, rows, gaps, promised = [], [], {}, -(2**62)
     edges = sorted({0, *cuts, *(lost or {}), len(time)})

@@ -159,18 +159,18 @@ def test_a_reference_for_something_else_is_refused(walked, tmp_path):
     normalise = Normalise("mvc", str(path))
     other = spec.derive(channels=("TA", "GM"))
     with pytest.raises(ParameterError, match="no muscle 'GM'"):
-        normalise.fresh().open({"in": other})
+        normalise.unopened().open({"in": other})
     with pytest.raises(ParameterError, match="is in 'uV', channel 'TA' in 'mV'"):
-        normalise.fresh().open({"in": spec.derive(units=("mV",))})
+        normalise.unopened().open({"in": spec.derive(units=("mV",))})
     with pytest.raises(ParameterError, match="these have cutoff_hz 6"):
-        normalise.fresh().open({"in": enveloped(emg(), cutoff_hz=6.0)[0]})
+        normalise.unopened().open({"in": enveloped(emg(), cutoff_hz=6.0)[0]})
     with pytest.raises(ParameterError, match="offers mvc, not 'rest'"):
         Normalise("rest", str(path)).open({"in": spec})
     with pytest.raises(InputError, match="normalised already"):
-        normalise.fresh().open({"in": normalise.fresh().open({"in": spec})["out"]})
+        normalise.unopened().open({"in": normalise.unopened().open({"in": spec})["out"]})
     with pytest.raises(ParameterError, match="the file that holds"):
         Normalise("mvc").open({"in": spec})
-    assert normalise.fresh().open({"in": spec.derive(shape=(1,), channels=("SO",))})["out"].units == ("% MVC",)
+    assert normalise.unopened().open({"in": spec.derive(shape=(1,), channels=("SO",))})["out"].units == ("% MVC",)
 
 
 def test_what_is_no_reference_is_refused(tmp_path):

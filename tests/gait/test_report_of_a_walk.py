@@ -14,7 +14,7 @@ from kinegraph.devices.reports.session.contents.cycle_store import circular
 from kinegraph.devices.reports.session.contents.data import Grid, Report
 from kinegraph.devices.reports.session.contents.grids import _bursts
 from kinegraph.devices.reports.session.contents.groups import Groups
-from kinegraph.devices.reports.session.contents.tally import Tally, hear, nothing_yet
+from kinegraph.devices.reports.session.contents.tally import Tally, add_chunk, nothing_yet
 from kinegraph.devices.reports.session.page import render
 from kinegraph.operators.cycles.statistics.bursts import CycleBursts
 from kinegraph.operators.cycles.statistics.median_frequency import MedianFrequency
@@ -44,7 +44,7 @@ def heard() -> tuple[Tally, Specs]:
     pieces = [(t, k, port) for k, port in enumerate(given) for t in np.unique(given[port][1]).tolist()]
     for stamp, _, port in sorted(pieces):
         here = given[port][1] == stamp
-        hear(tally, specs, port, Chunk(given[port][1][here], given[port][2][here], stamp))
+        add_chunk(tally, specs, port, Chunk(given[port][1][here], given[port][2][here], stamp))
     return tally, specs
 
 

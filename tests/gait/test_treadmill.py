@@ -53,7 +53,7 @@ class Recorder:
     def ready(self) -> None:
         self.is_ready = True
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         return None
 
     def identify(self, device: str, **facts: str | float) -> None: ...

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from kinegraph.devices.reports.session.compose import compose
-from kinegraph.devices.reports.session.contents.tally import hear, nothing_yet, numbers
+from kinegraph.devices.reports.session.contents.tally import add_chunk, nothing_yet, numbers
 from kinegraph.operators.cycles.cycle import CLOSED_UNITS, POINTS
 from kinegraph.operators.cycles.limb_cycles import LIMB_CLOSED
 from kinegraph.operators.cycles.statistics.bursts import CycleBursts
@@ -175,7 +175,7 @@ def test_the_numbers_of_the_report_are_of_all_cycles_of_the_session(walk, counte
     pieces = [(t, k, port) for k, port in enumerate(given) for t in np.unique(given[port][1]).tolist()]
     for stamp, _, port in sorted(pieces):
         here = given[port][1] == stamp
-        hear(tally, specs, port, Chunk(given[port][1][here], given[port][2][here], stamp))
+        add_chunk(tally, specs, port, Chunk(given[port][1][here], given[port][2][here], stamp))
     report, drawn = compose(tally, specs, None, {})
     assert report.accepted == len(counted) and report.rejected == COUNT - len(counted)
     cadence = next(value for value in report.gait if value.label == "cadence")

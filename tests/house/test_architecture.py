@@ -66,7 +66,7 @@ def test_a_module_is_named_after_its_subject_and_names_it_in_its_first_line() ->
 
 
 def test_an_outlet_keeps_its_runtime_by_hold() -> None:
-    """`hold(state, runtime)` keeps what is not a parameter."""
+    """`set_state(state, runtime)` keeps what is not a parameter."""
     assert [
         path for path in PRODUCT if "outlets" in path.parts and "__setattr__" in path.read_text(encoding="utf-8")
     ] == []

@@ -76,7 +76,7 @@ class Tally(Outlet[TallyState, None]):
     path: str = param(help="the file")
 
     def open(self, specs):
-        self.hold(TallyState())
+        self.set_state(TallyState())
         return {}
 
     def process(self, port, chunk):

@@ -33,7 +33,7 @@ class Smooth(Operator[SmoothState]):
     __slots__ = ()
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(SmoothState(np.zeros(specs["in"].shape)))
+        self.set_state(SmoothState(np.zeros(specs["in"].shape)))
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
@@ -122,7 +122,7 @@ class LosesLostOfEvents(Smooth):
         return Chunk(chunk.time, out, chunk.until)
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(SmoothState(np.zeros(specs["in"].shape)))
+        self.set_state(SmoothState(np.zeros(specs["in"].shape)))
         return {"out": specs["in"].derive(rate_hz=None)}
 
 
@@ -146,7 +146,7 @@ class LostAChunkLate(Smooth):
     """breaks: cuts"""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(OwedState(np.zeros(specs["in"].shape)))
+        self.set_state(OwedState(np.zeros(specs["in"].shape)))
         return {"out": specs["in"].derive(rate_hz=None)}
 
     def emit(self, chunk: Chunk, out: Samples) -> Emitted:
@@ -395,7 +395,7 @@ class WritesEmitted(Smooth):
     """breaks: emitted"""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(ReuseState(np.zeros(specs["in"].shape)))
+        self.set_state(ReuseState(np.zeros(specs["in"].shape)))
         return {"out": specs["in"]}
 
     def emit(self, chunk: Chunk, out: Samples) -> Emitted:
@@ -451,7 +451,7 @@ class CompilesLate(Smooth):
 class Excused(HidesNaN):
     """Breaks a rule, and says so."""
 
-    departures: ClassVar[dict[str, str]] = {"nan": "holds the last value where there is none"}
+    exemptions: ClassVar[dict[str, str]] = {"nan": "holds the last value where there is none"}
 
 
 @dataclass(frozen=True, slots=True)

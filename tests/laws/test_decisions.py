@@ -117,7 +117,7 @@ PROMISE_NOTHING = {
 
 def fed(case: Case) -> tuple[Operator[Any], dict[str, float], float]:
     """An operator that was given a case; how late its events came (s) and how far apart the moments lay at which it was given something."""
-    operator = case.operator.fresh()
+    operator = case.operator.unopened()
     operator.open({port: spec for port, (spec, _, _) in case.inputs.items()})
     stamps = np.unique(np.concatenate([time for _, time, _ in case.inputs.values()]))
     moments = stamps[np.unique(np.linspace(0, len(stamps) - 1, STEPS).astype(int))]
@@ -147,7 +147,7 @@ EVENTFUL = {
 @pytest.mark.parametrize("use", EVENTFUL)
 def test_no_operator_gives_an_event_later_than_it_declares(use: str) -> None:
     for case in EVENTFUL[use].cases():
-        specs = case.operator.fresh().open({port: spec for port, (spec, _, _) in case.inputs.items()})
+        specs = case.operator.unopened().open({port: spec for port, (spec, _, _) in case.inputs.items()})
         if not any(spec.is_event for spec in specs.values()):
             return
         operator, late, step_s = fed(case)

@@ -72,7 +72,7 @@ class Smooth(Operator[SmoothState]):
         return round((1 - self.share) / self.share * 10**7) if self.told else 0
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(SmoothState(0.0), delay_s=self.late_ns / 1e9)
+        self.set_state(SmoothState(0.0), delay_s=self.late_ns / 1e9)
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

@@ -25,7 +25,7 @@ class Gain(Operator[None]):
     factor: float = param(2.0)
 
     def open(self, specs):
-        self.hold(None)
+        self.set_state(None)
         return {"out": specs["in"]}
 
     def process(self, port, chunk):
@@ -61,13 +61,13 @@ def test_inputs_of_several_rates_are_no_fault_of_the_operator(tmp_path: Path) ->
     """Where the case is played again, a stream that is over earlier begins after a gap; it must say so."""
     text = OPERATOR.replace("BODY", "x * self.factor").replace(
         """    def open(self, specs):
-        self.hold(None)
+        self.set_state(None)
         return {"out": specs["in"]}
 """,
         """    inputs = ("in", "slow")
 
     def open(self, specs):
-        self.hold(None)
+        self.set_state(None)
         return {"out": specs["in"]}
 """,
     )

@@ -730,7 +730,7 @@ class Reference:
             self.tell_span(onset, end, self.activity, self.cycles + self.ventured + k + 1)
         self.conclude(self.cycles + self.ventured + len(behind))
         self.forget_returns()
-        self.hold(last, int(forced))
+        self.set_state(last, int(forced))
         self.open, self.when = False, 0
         self.seed = self.untold = last + 1
 
@@ -786,7 +786,7 @@ class Reference:
             if origin - self.pieces > self.p["FIRM"]:
                 self.piece(origin - 1, False)
             self.conclude(self.cycles + self.ventured)
-            self.hold(self.pieces - 1, 0)
+            self.set_state(self.pieces - 1, 0)
             self.seed = self.untold = self.pieces
             self.told = False
             self.start = max(origin, self.seed)

@@ -23,7 +23,7 @@ RATE = 60.0
 
 def walk_through(operator: MotionMap, x: Samples, spec: StreamSpec | None = None) -> dict[str, Samples]:
     """Frame by frame: what came out, and the picture's axes and centre after each."""
-    operator = operator.fresh()
+    operator = operator.unopened()
     operator.open({"in": spec or StreamSpec((x.shape[1],), rate_hz=RATE, units=("cm",))})
     time = grid(RATE, len(x))
     found: dict[str, list[Samples]] = {"map": [], "explained": [], "axes": [], "centre": []}

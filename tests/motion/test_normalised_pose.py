@@ -17,7 +17,7 @@ HORSE = NormalisedPose("withers", "sacrum", SET)
 
 
 def run(operator: NormalisedPose, x: Samples, spec: StreamSpec = SPEC) -> tuple[StreamSpec, Samples]:
-    operator = operator.fresh()
+    operator = operator.unopened()
     out = operator.open({"in": spec})["out"]
     time = grid(100.0, len(x))
     made = operator.process("in", Chunk(time, x, int(time[-1])))

@@ -50,7 +50,7 @@ def played(
     operator: Operator[Any], x: Any, pieces: int = 1, mirror: Mirror | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The events and their stamps, by output, of a recording (n, features) at 30 Hz that comes in so many pieces, or with a mirror."""
-    operator = operator.fresh()
+    operator = operator.unopened()
     spec = StreamSpec(x.shape[1:], rate_hz=RATE)
     specs = operator.open({"in": spec} | ({"mirrored": mirror.open({"in": spec})["out"]} if mirror else {}))
     time, found = (
@@ -462,7 +462,7 @@ def test_what_cannot_be_is_said_before_it_begins(
 
 def test_a_mirror_image_must_be_one_of_these_features() -> None:
     spec = StreamSpec((6,), rate_hz=RATE)
-    image = SIDES.fresh().open({"in": spec})["out"]
+    image = SIDES.unopened().open({"in": spec})["out"]
     Segment().open({"in": spec, "mirrored": image})
     for other in (spec, image.derive(rate_hz=2 * RATE), image.derive(shape=(3,))):
         with pytest.raises(InputError, match="through operators"):
@@ -760,7 +760,7 @@ def restless(seed: int) -> Any:
 def test_no_event_comes_later_than_declared(make: Any, seed: int) -> None:
     operator, x = Segment(**QUICK), make(seed)
     events, stamps = played(operator, x)
-    fresh = operator.fresh()
+    fresh = operator.unopened()
     fresh.open({"in": StreamSpec(x.shape[1:], rate_hz=RATE)})
     assert {"activity", "primitive", "bout", "begin", "provisional", "rest", "resting"} == set(fresh.decision_s)
     for name, bound_s in fresh.decision_s.items():

@@ -81,7 +81,7 @@ class Watcher(Heard):
         self.tells = [((0.0, 0.0), "walk 0 5"), ((0.0, 5.0), "run 5 12"), ((5.0, 12.0), "jump")]
         self.told_at: list[int] = []
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         if not self.tells or not self.poses:
             return None
         place, word = self.tells[0]

@@ -66,7 +66,7 @@ def joined(operator, streams, specs):
 
 def run(operator, streams, specs, seed=None, lost=None, *, in_turn=False):
     """(output's spec, stamps, rows, {row: lost}), with the streams cut and interleaved at random, merged as the engine does it."""
-    operator = operator.fresh()
+    operator = operator.unopened()
     made = operator.open(specs)["out"]
     merge = Merge(specs, in_turn=in_turn) if len(specs) > 1 else None
     rng = np.random.default_rng(seed)

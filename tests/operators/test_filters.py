@@ -129,7 +129,7 @@ def test_low_pass_stamps_put_a_slow_peak_where_it_was():
     operator = Lowpass(cutoff_hz=20.0)
     _, stamps, out, _ = run(operator, bump, spec=signal_spec(1, 1000.0))
     assert abs(int(stamps[out.argmax()]) - centre) <= 1_000_000
-    opened = operator.fresh()
+    opened = operator.unopened()
     opened.open({"in": signal_spec(1, 1000.0)})
     assert opened.delay_s == pytest.approx(0.0207, abs=5e-4)
     assert stamps[0] == time[0] - round(opened.delay_s * 1e9)

@@ -20,7 +20,7 @@ def events(operator, values, *, cuts=(), lost=None, time=None):
     """({output: events as tuples in ms from the first sample}, {output: stamps in ms}, {output: lost})."""
     data = np.asarray(values, dtype=float)[:, None]
     time = grid(1000.0, len(data)) if time is None else time
-    operator = operator.fresh()
+    operator = operator.unopened()
     operator.open({"in": SPEC})
     found, stamps, marks = {"onset": [], "interval": []}, {"onset": [], "interval": []}, {"onset": [], "interval": []}
     places = sorted({0, len(data), *cuts, *(lost or {})})

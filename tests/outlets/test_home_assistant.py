@@ -38,7 +38,7 @@ def outlet(port: int, nights: Path) -> MqttOutlet:
         "home.report": {"nights": str(nights)},
     }
     graph = load(CONFIG, overrides=told)
-    made = graph.nodes["home"].part.fresh()
+    made = graph.nodes["home"].part.unopened()
     assert isinstance(made, MqttOutlet)
     made.open(graph.input_specs(graph.nodes["home"]))
     return made

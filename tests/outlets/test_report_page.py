@@ -132,7 +132,7 @@ def test_modes_are_ellipses_from_half_a_cycle_before_to_half_a_cycle_after() -> 
     report, curves = sample()
     peaks = Peaks()
     mode = np.dtype([("name", "<U16"), ("number", "<i8"), *((name, "<f8") for name in MODE)])
-    peaks.hear(
+    peaks.add(
         "modes",
         np.array(
             [
@@ -144,7 +144,7 @@ def test_modes_are_ellipses_from_half_a_cycle_before_to_half_a_cycle_after() -> 
         ),
     )
     moved = np.dtype([("name", "<U16"), *((name, "<f8") for name in MOVED)])
-    peaks.hear("distance", np.array([("TA", 0.25, 0.125, np.nan)], moved))
+    peaks.add("distance", np.array([("TA", 0.25, 0.125, np.nan)], moved))
     report.modes = [peaks.of("TA").tolist(), peaks.of("SO").tolist()]
     report.grids = [peaks.grid("uV")]
     assert len(report.modes[0]) == 2 and report.modes[1] == [], "only the newest cycle's, and none where none is known"

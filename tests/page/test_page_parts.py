@@ -345,14 +345,14 @@ def fed(spec: StreamSpec) -> tuple[Hub, list[dict[str, Any]]]:
     greeting = encode(
         {"t": "hello", "mode": "live", "specs": [spec.to_json()], "t0_ns": 0, "streams": [], "panels": []}
     )
-    hub.hear(*decode(greeting))
+    hub.receive(*decode(greeting))
     return hub, told
 
 
 def give(hub: Hub, chunk: Chunk) -> None:
     header = {"t": "chunk", "s": 0, "n": len(chunk.time), "lost": chunk.lost, "until": chunk.until}
-    hub.hear(*decode(encode(header, chunk.time.tobytes(), chunk.data.tobytes())))
-    hub.hear({"t": "tick"}, memoryview(b""))
+    hub.receive(*decode(encode(header, chunk.time.tobytes(), chunk.data.tobytes())))
+    hub.receive({"t": "tick"}, memoryview(b""))
 
 
 def test_a_client_gets_all_that_it_has_not_been_sent_and_a_slow_one_gets_it_at_once() -> None:

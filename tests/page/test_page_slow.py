@@ -44,18 +44,18 @@ class Served:
 
     def state(self) -> None:
         self._call(
-            self.hub.hear,
+            self.hub.receive,
             {"t": "state", "table": {"camera": {"kind": "source", "samples": self.frames}}, "dropped": 0},
             memoryview(b""),
         )
-        self._call(self.hub.hear, {"t": "tick"}, memoryview(b""))
+        self._call(self.hub.receive, {"t": "tick"}, memoryview(b""))
 
     def _give(self) -> None:
         self.frames += 1
         time = np.array([round(self.frames * NS / RATE_HZ)])
         header = {"t": "chunk", "s": 0, "n": 1, "lost": 0, "until": int(time[0])}
-        self.hub.hear(*decode(encode(header, time.tobytes(), (PIXELS + self.frames).tobytes())))
-        self.hub.hear({"t": "tick"}, memoryview(b""))
+        self.hub.receive(*decode(encode(header, time.tobytes(), (PIXELS + self.frames).tobytes())))
+        self.hub.receive({"t": "tick"}, memoryview(b""))
 
 
 @asynccontextmanager
@@ -65,7 +65,7 @@ async def serving() -> AsyncIterator[tuple[Hub, int]]:
     streams = [described("camera", CAMERA)]
     hello = {"t": "hello", "v": 1, "name": "slow", "mode": "live", "t0_ms": 0.0, "t0_ns": 0, "session": {}, "streams": streams, "nodes": [],
              "edges": [], "values": [], "words": [], "panels": panels, "specs": [CAMERA.to_json()]}  # fmt: skip
-    hub.hear(*decode(encode(hello)))
+    hub.receive(*decode(encode(hello)))
     server = PageServer(hub, lambda: "")
     yield hub, await server.open("127.0.0.1", 0, "")
     await server.close()

@@ -75,7 +75,7 @@ def test_the_package_gets_the_same_numbers(sensors: tuple[str, ...], groups: str
     registers = [r.hex() for r in units.registers(purpose, 512)]
     brain = ShimmerModel(seed=7)
     wide = brain.chips.wide_rate(512)  # the package does not set how often the sensors themselves measure
-    brain.hear(bytes([protocol.WIDE_RATE, wide, protocol.GYRO_RATE, units.gyro_divider(512)]))
+    brain.receive(bytes([protocol.WIDE_RATE, wide, protocol.GYRO_RATE, units.gyro_divider(512)]))
     with Server(brain, line_at("", "rfcommSHIM")) as server:
         where = str(Path(server.address).resolve())
         done = subprocess.run(

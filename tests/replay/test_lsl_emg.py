@@ -12,7 +12,7 @@ import pytest
 import pyxdf
 
 import kinegraph as kg
-from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.devices.formats.importer import read_files
 from kinegraph.stream.chunk import NS
 from tests.replay.replaying import at, emg_envelope, signal
@@ -38,7 +38,7 @@ def test_the_envelopes_are_scipys_whatever_the_markers_say() -> None:
 @pytest.mark.parametrize("name", ["minimal", "empty_streams"])
 def test_a_recording_of_lsl_has_pyxdfs_samples_and_its_clocks(name: str) -> None:
     file = real_file(f"files/xdf/{name}.xdf")
-    ours = {one.name.removeprefix(f"{name}."): one for one in read_files([file], Wishes())}
+    ours = {one.name.removeprefix(f"{name}."): one for one in read_files([file], ImportOptions())}
     theirs, _ = pyxdf.load_xdf(file)
     begin = min(stream["time_stamps"][0] for stream in theirs if len(stream["time_stamps"]))
     first = min(one.time[0] for one in ours.values() if len(one))

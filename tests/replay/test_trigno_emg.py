@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 import kinegraph as kg
-from kinegraph.devices.formats.column_table import Wishes
+from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.devices.formats.importer import read_files
 from kinegraph.stream.chunk import NS
 from tests.replay.replaying import at, emg_envelope, highpassed, signal
@@ -26,7 +26,7 @@ SHARES = np.array([1.0, 0.1, 0.0])
 
 @pytest.fixture(scope="module")
 def imported() -> kg.Series:
-    (series,) = read_files([EXPORT], Wishes())
+    (series,) = read_files([EXPORT], ImportOptions())
     return series
 
 

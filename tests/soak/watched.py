@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 from kinegraph.devices.lines.indexed_simulator import Indexed
 from kinegraph.devices.page.transfer.wire import decode
 from kinegraph.devices.simulation.cable import line_at
-from kinegraph.devices.simulation.fault_injection import Misbehaviour
+from kinegraph.devices.simulation.fault_injection import FaultInjection
 from kinegraph.devices.simulation.serve import Server
 from tests.soak.faults import Kind
 from tests.soak.uses import RATE_HZ, Use
@@ -29,7 +29,7 @@ ENDING_S = 90.0
 CALM_S = 6.0
 SLOW_CLIENTS = 3
 PAGE = re.compile(r"page: (http\S+)")
-LOOSE = Misbehaviour(lose=0.002, duplicate=0.001)
+LOOSE = FaultInjection(lose=0.002, duplicate=0.001)
 """Beside everything else, single lines get lost on the way, or come twice."""
 STARVED_S = 0.2
 """A session of which a thread has waited so long for a processor within a second is disturbed, as if it had been stopped."""

@@ -51,7 +51,7 @@ class Kept:
 
     def ready(self) -> None: ...
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         return None
 
     def identify(self, device: str, **facts: str | float) -> None:

@@ -26,7 +26,7 @@ def contacts(seconds, side="right", late=0.0):
 
 def drive(operator, inputs, size=None, end=True):
     """Feed `inputs` (port: (spec, time, data[, {index: lost}])) in chunks of `size`, merged; gives {output: (spec, time, data)}."""
-    operator = operator.fresh()
+    operator = operator.unopened()
     specs = {port: given[0] for port, given in inputs.items()}
     outputs = operator.open(specs)
     merge = Merge(specs)

@@ -72,7 +72,7 @@ class Low(Operator[Nothing]):
             raise InputError("in", spec.describe(), "a signal with a rate")
         if self.cutoff_hz >= spec.rate_hz / 2:
             raise ParameterError("cutoff_hz", self.cutoff_hz, f"below {spec.rate_hz / 2:g}")
-        self.hold(Nothing(np.zeros(1000)), delay_s=self.order / 1000)
+        self.set_state(Nothing(np.zeros(1000)), delay_s=self.order / 1000)
         return {"out": spec}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
@@ -90,7 +90,7 @@ class Cycles(Operator[Nothing]):
     def open(self, specs: Specs) -> Specs:
         if not specs["touchdown"].is_event:
             raise InputError("touchdown", specs["touchdown"].describe(), "events")
-        self.hold(Nothing(np.zeros(10)), delay_s=0.05)
+        self.set_state(Nothing(np.zeros(10)), delay_s=0.05)
         return {"cycle": specs["signal"], "rejected": specs["touchdown"]}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -106,7 +106,7 @@ class Join(Operator[Nothing]):
 
     def open(self, specs: Specs) -> Specs:
         names = tuple(f"{port}/{channel}" for port, spec in specs.items() for channel in spec.channels)
-        self.hold(Nothing(np.zeros(1)))
+        self.set_state(Nothing(np.zeros(1)))
         return {"out": StreamSpec((len(names),), rate_hz=next(iter(specs.values())).rate_hz, channels=names)}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -118,7 +118,7 @@ class Screen(Outlet[Nothing]):
     """Where it ends."""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(Nothing(np.zeros(1)))
+        self.set_state(Nothing(np.zeros(1)))
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -135,7 +135,7 @@ class Broken(Operator[Nothing]):
         if self.fault == "raises":
             raise ZeroDivisionError("division by zero")
         if self.fault == "outputs":
-            self.hold(Nothing(np.zeros(1)))
+            self.set_state(Nothing(np.zeros(1)))
             return {"other": specs["in"]}
         return {"out": specs["in"]}
 

@@ -24,7 +24,7 @@ class Heard:
     def wait(self, seconds: float) -> bool:
         return False
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         return self.words.pop(len(self.poses), None)
 
     def emit(self, chunk: Chunk, output: str) -> None:

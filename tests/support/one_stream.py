@@ -22,7 +22,7 @@ def run(operator, data, *, spec=None, time=None, cuts=(), lost=None):
     spec = spec or signal_spec(data.shape[1])
     time = grid(spec.rate_hz, len(data)) if time is None else time
     lost = lost or {}
-    operator = operator.fresh()
+    operator = operator.unopened()
     made = operator.open({"in": spec})["out"]
     take = taking(operator, {"in": spec})
     places = sorted({0, *cuts, *lost, len(data)})

@@ -88,7 +88,7 @@ class Identity(Operator[None]):
     """What comes in goes out."""
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(None)
+        self.set_state(None)
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
@@ -141,7 +141,7 @@ class RunningSum(Operator[SumState]):
     fails_at: int = param(-1)
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(SumState(np.zeros(specs["in"].shape)))
+        self.set_state(SumState(np.zeros(specs["in"].shape)))
         return {"out": specs["in"]}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
@@ -168,7 +168,7 @@ class Gain(Operator[GainState]):
     inputs: ClassVar[tuple[str, ...]] = ("signal", "gain")
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(GainState(float("nan")))
+        self.set_state(GainState(float("nan")))
         return {"out": specs["signal"]}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
@@ -186,7 +186,7 @@ class Beside(Operator[None]):
     inputs: ClassVar[tuple[str, ...]] = ("a", "b")
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(None)
+        self.set_state(None)
         return {"out": specs["a"].derive(rate_hz=None)}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
@@ -202,7 +202,7 @@ class Collect(Outlet[None]):
     slow_s: float = param(0.0)
 
     def open(self, specs: Specs) -> Specs:
-        self.hold(None)
+        self.set_state(None)
         return {}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:

@@ -168,7 +168,7 @@ class RenderedRoom(Bedside):
         object.__setattr__(made, "scene", scene)
         return made
 
-    def fresh(self) -> RenderedRoom:
+    def unopened(self) -> RenderedRoom:
         return self
 
     def read(self, feed: Feed) -> None:

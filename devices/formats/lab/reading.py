@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinegraph.devices.formats.column_table import Wishes, positive
+from kinegraph.devices.formats.column_table import ImportOptions, positive
 from kinegraph.devices.formats.import_result import Asked, RateMissing, Understood
 from kinegraph.devices.formats.importer import Reader
 from kinegraph.devices.formats.timing import plain_unit
@@ -24,34 +24,34 @@ PREVIEW_HZ = 1.0
 def reader(kind: str, read: Grammar) -> Reader:
     """An importer's reader of files that `read` understands; `kind` completes the sentence "cannot be read as ..."."""
 
-    def read_all(files: Sequence[Path], wishes: Wishes, last: bool) -> tuple[list[Series], Wishes]:
+    def read_all(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
         made: list[Series] = []
         for file in files:
             if not file.is_file():
                 raise RecordingError(f"{file}: there is no such file")
             with reading(file, kind), np.errstate(all="ignore"):
-                made += _placed(_understood(file, read, wishes), wishes)
-        return renamed(made, wishes, alone=last)
+                made += _placed(_understood(file, read, options), options)
+        return renamed(made, options, alone=last)
 
     return read_all
 
 
-def _understood(file: Path, read: Grammar, wishes: Wishes) -> Understood:
-    asked = Asked(_rate(file, wishes), _said(wishes.unit, file), wishes.skip_rows or 0, wishes.repeated)
+def _understood(file: Path, read: Grammar, options: ImportOptions) -> Understood:
+    asked = Asked(_rate(file, options), _said(options.unit, file), options.skip_rows or 0, options.repeated)
     try:
         return read(file, asked)
     except RateMissing as error:
-        if not wishes.preview:
+        if not options.preview:
             raise
         made = read(file, replace(asked, rate_hz=PREVIEW_HZ))
         made.doubt(f"{str(error).removeprefix(f'{file}: ')}; times below count samples")
         return made
 
 
-def _placed(made: Understood, wishes: Wishes) -> list[Series]:
+def _placed(made: Understood, options: ImportOptions) -> list[Series]:
     """The series at their time: as somebody says, as the file does, or from 1970 on; what was found is noted."""
-    wishes.findings.of(made)
-    begin = wishes.begin if wishes.begin is not None else made.begin or 0
+    options.findings.of(made)
+    begin = options.begin if options.begin is not None else made.begin or 0
     for one in made.series:
         one.time = one.time + begin
         if one.spec.is_event and "onset" in (one.spec.dtype.names or ()):
@@ -60,44 +60,44 @@ def _placed(made: Understood, wishes: Wishes) -> list[Series]:
     return made.series
 
 
-def renamed(made: Sequence[Series], wishes: Wishes, *, alone: bool) -> tuple[list[Series], Wishes]:
+def renamed(made: Sequence[Series], options: ImportOptions, *, alone: bool) -> tuple[list[Series], ImportOptions]:
     """The series, those chosen by --stream NAME=STREAM under their new names; unit, scale and meta as wished; and what concerns others."""
     known = [one.name for one in made]
-    chosen = {name: parts[0] for name, parts in wishes.streams.items() if parts and parts[0] in known}
+    chosen = {name: parts[0] for name, parts in options.streams.items() if parts and parts[0] in known}
     by_name = {one.name: one for one in made}
     taken = [replace(by_name[old], name=new) for new, old in chosen.items()] if chosen else list(made)
     names = {one.name: (one.name, chosen.get(one.name, one.name)) for one in taken}
     for one in taken:
-        _changed(one, names[one.name], wishes)
+        _changed(one, names[one.name], options)
     said = {key for pair in names.values() for key in pair} | {key.partition(".")[0] for key in known}
     rest = replace(
-        wishes,
-        streams={name: parts for name, parts in wishes.streams.items() if name not in chosen},
-        meta={name: facts for name, facts in wishes.meta.items() if name not in said},
-        rate={name: v for name, v in wishes.rate.items() if name not in said},
-        unit={name: v for name, v in wishes.unit.items() if name not in said},
-        scale={name: v for name, v in wishes.scale.items() if name not in said},
+        options,
+        streams={name: parts for name, parts in options.streams.items() if name not in chosen},
+        meta={name: facts for name, facts in options.meta.items() if name not in said},
+        rate={name: v for name, v in options.rate.items() if name not in said},
+        unit={name: v for name, v in options.unit.items() if name not in said},
+        scale={name: v for name, v in options.scale.items() if name not in said},
     )
     if alone:
         _nothing_left(rest, known)
     return taken, rest
 
 
-def _changed(one: Series, names: tuple[str, ...], wishes: Wishes) -> None:
-    if facts := {key: value for name in names for key, value in wishes.meta.get(name, {}).items()}:
+def _changed(one: Series, names: tuple[str, ...], options: ImportOptions) -> None:
+    if facts := {key: value for name in names for key, value in options.meta.get(name, {}).items()}:
         one.spec = one.spec.derive(meta={**one.spec.meta, **facts})
     if one.spec.is_event:
         return
-    unit = next((wishes.unit[name] for name in names if name in wishes.unit), "")
+    unit = next((options.unit[name] for name in names if name in options.unit), "")
     if not unit and not any(one.spec.units):
-        unit = wishes.unit.get("", "")
+        unit = options.unit.get("", "")
     if unit:
         one.spec = one.spec.derive(units=(plain_unit(unit),))
-    if scale := next((wishes.scale[name] for name in (*names, "") if name in wishes.scale), ""):
+    if scale := next((options.scale[name] for name in (*names, "") if name in options.scale), ""):
         one.data = one.data * positive(scale, "--scale")
 
 
-def _nothing_left(rest: Wishes, known: Sequence[str]) -> None:
+def _nothing_left(rest: ImportOptions, known: Sequence[str]) -> None:
     for name, parts in rest.streams.items():
         what = ",".join(parts)
         raise RecordingError(f"--stream {name}={what}: there is no such stream in these files; {nearest(what, known)}")
@@ -114,7 +114,7 @@ def _said(option: Mapping[str, str], file: Path) -> str:
     return option[mine[0]] if mine else option.get("", "")
 
 
-def _rate(file: Path, wishes: Wishes) -> float | None:
-    mine = [name for name in wishes.rate if name == file.stem or name.startswith(f"{file.stem}.")]
-    told = wishes.rate[mine[0]] if mine else wishes.rate.get("", "")
+def _rate(file: Path, options: ImportOptions) -> float | None:
+    mine = [name for name in options.rate if name == file.stem or name.startswith(f"{file.stem}.")]
+    told = options.rate[mine[0]] if mine else options.rate.get("", "")
     return positive(told, "--rate") if told else None

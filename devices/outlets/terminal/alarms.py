@@ -46,7 +46,7 @@ class Alarms(Outlet[AlarmsState]):
         for port, spec in specs.items():
             if not set(FIELDS) <= set(spec.dtype.names or ()):
                 raise InputError(port, spec.describe(), f"alarms: events with the fields {', '.join(FIELDS)}")
-        self.hold(AlarmsState([], [], [], [], 0))
+        self.set_state(AlarmsState([], [], [], [], 0))
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:

@@ -76,7 +76,7 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
             if field not in statistics.channels or statistics.dtype[field].kind != "f":
                 known = [name for name in statistics.channels if statistics.dtype[name].kind == "f"]
                 raise ParameterError("fields", field, f"a number of `statistics`; {nearest(field, known)}")
-        self.hold(
+        self.set_state(
             CycleTableState(
                 np.zeros(0, closed.dtype),
                 np.zeros((len(self.fields), 0)),
@@ -99,7 +99,7 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
             for row in chunk.data:
                 _tell_stage(row)
         elif port in NOTES:
-            state.notes.hear(port, chunk.data)
+            state.notes.add(port, chunk.data)
             if port in ("targets", "norms") and len(chunk):
                 _tell(port, chunk.data)
         elif port == "closed":

@@ -67,7 +67,7 @@ class ExercisePanel(Outlet[ExerciseState, None]):
                 raise InputError(port, spec.describe(), f"events with the fields {', '.join(FIELDS[port])}")
         known = np.zeros(RECENT, NAMED)
         known["activity"] = -1
-        self.hold(ExerciseState(np.zeros(STRIP, PAST), known, named="believed" in specs), None)
+        self.set_state(ExerciseState(np.zeros(STRIP, PAST), known, named="believed" in specs), None)
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:

@@ -32,7 +32,7 @@ class MuscleNotes:
     words: list[list[str]] = field(default_factory=list)
     numbers: list[list[int]] = field(default_factory=list)
 
-    def hear(self, port: str, rows: Array) -> None:
+    def add(self, port: str, rows: Array) -> None:
         k = list(NOTES).index(port)
         for row in rows:
             i = self._place(str(row["name"]))

@@ -28,7 +28,7 @@ class PromptPanel(Outlet[PromptState, None]):
     def open(self, specs: Specs) -> Specs:
         if "text" not in (specs["in"].dtype.names or ()):
             raise InputError("in", specs["in"].describe(), "events with the field text")
-        self.hold(PromptState(""), None)
+        self.set_state(PromptState(""), None)
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:

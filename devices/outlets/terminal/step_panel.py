@@ -68,7 +68,7 @@ class StepPanel(Outlet[StepPanelState, None]):
         if "subject_wise" in accuracy:
             worth = f"right for {accuracy['subject_wise']:.0%} of steps of people it had never seen"
         judged = np.zeros(0, specs["judgement"].dtype if "judgement" in specs else np.float64)
-        self.hold(StepPanelState(0, "", np.nan, np.nan, 0, 0, judged, "", worth, ""), None)
+        self.set_state(StepPanelState(0, "", np.nan, np.nan, 0, 0, judged, "", worth, ""), None)
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:

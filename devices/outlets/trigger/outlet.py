@@ -89,7 +89,7 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
             raise ParameterError("osc", self.osc, "HOST:PORT, such as 127.0.0.1:9000")
         if not self.osc_address.startswith("/") or not self.osc_address.isascii():
             raise ParameterError("osc_address", self.osc_address, "an OSC address such as /kinegraph/trigger")
-        self.hold(TriggerState(False, 0, 0), TriggerRuntime())
+        self.set_state(TriggerState(False, 0, 0), TriggerRuntime())
         return {}
 
     @property

@@ -30,7 +30,7 @@ class PoseAnswers(Outlet[PoseAnswersState, None]):
     def open(self, specs: Specs) -> Specs:
         if specs["in"].dtype.names != FIELDS:
             raise InputError("in", specs["in"].describe(), f"answers: events with the fields {', '.join(FIELDS)}")
-        self.hold(PoseAnswersState([]))
+        self.set_state(PoseAnswersState([]))
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:

@@ -32,7 +32,7 @@ class PoseQueries(Source):
         spec = self.specs()["out"]
         feed.ready()
         while not feed.stopped:
-            line = feed.hear(QUIET_S)
+            line = feed.listen(QUIET_S)
             now = feed.now()
             try:
                 asked = None if line is None else as_query(line)

@@ -20,7 +20,7 @@ nodes:
 """
 
 
-def hear(session: Session) -> None:
+def listen(session: Session) -> None:
     """Pass on what is asked, until nobody asks any more."""
     for line in sys.stdin:
         try:
@@ -32,7 +32,7 @@ def hear(session: Session) -> None:
 
 def main(model: str) -> None:
     session = Session(load_text(GRAPH % json.dumps(model), "map"))
-    Thread(target=hear, args=(session,), daemon=True).start()
+    Thread(target=listen, args=(session,), daemon=True).start()
     session.run()
 
 

@@ -173,7 +173,7 @@ def words_of(graph: Graph) -> list[str]:
     for node in heard:
         if isinstance(node.part, Operator):
             with blaming(node.name, "words"):
-                said += node.part.words()
+                said += node.part.annotations_understood()
     return [word[:MOST_TEXT] for word in dict.fromkeys(said)][:MOST_WORDS]
 
 

@@ -73,7 +73,7 @@ class NightLog(Outlet[LogState, LogRuntime]):
         except (KeyError, ValueError):
             raise ParameterError("timezone", self.timezone, "a time zone's name, like Europe/Berlin") from None
         rows.check(specs)
-        self.hold(LogState(), LogRuntime(specs))
+        self.set_state(LogState(), LogRuntime(specs))
         return {}
 
     @property

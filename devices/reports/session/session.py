@@ -15,7 +15,7 @@ from kinegraph.devices.reports.session.compose import compose
 from kinegraph.devices.reports.session.contents.data import Curves, Report
 from kinegraph.devices.reports.session.contents.labels import relative_to
 from kinegraph.devices.reports.session.contents.paths import free_stem, page_of, recording_of
-from kinegraph.devices.reports.session.contents.tally import Tally, hear, nothing_yet, numbers
+from kinegraph.devices.reports.session.contents.tally import Tally, add_chunk, nothing_yet, numbers
 from kinegraph.devices.reports.session.curve_table import write_curves
 from kinegraph.devices.reports.session.cycle_rows import (
     About,
@@ -120,7 +120,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
             if what := missing(kind):
                 raise ParameterError("tables", kind, f"left out, or written after `{what}`")
         check_ports(specs)
-        self.hold(ReportState(nothing_yet(specs), nothing_held(specs)), ReportRuntime(specs))
+        self.set_state(ReportState(nothing_yet(specs), nothing_held(specs)), ReportRuntime(specs))
         return {}
 
     @property
@@ -154,7 +154,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
 
     def process(self, port: str, chunk: Chunk) -> None:
         runtime, state = self.runtime, self.state
-        hear(state.tally, runtime.specs, port, chunk)
+        add_chunk(state.tally, runtime.specs, port, chunk)
         if len(chunk) and port in ("closed", "statistics"):
             self._write_rows(port, chunk.data)
         if time.monotonic() >= runtime.next_interim:

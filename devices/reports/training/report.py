@@ -86,7 +86,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
             needed = KINDS[port][1]
             if not set(needed) <= set(spec.dtype.names or ()):
                 raise InputError(port, spec.describe(), f"events with the fields {', '.join(needed)}")
-        self.hold(TrainingState(nothing_done()), TrainingRuntime(specs["repetition"].unit_of("range")))
+        self.set_state(TrainingState(nothing_done()), TrainingRuntime(specs["repetition"].unit_of("range")))
         return {}
 
     @property

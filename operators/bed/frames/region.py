@@ -66,7 +66,7 @@ class RegionDepth(Operator[RegionState]):
         height, width = spec.shape
         rows = _within("row", self.row, "rows", self.rows, height)
         columns = _within("column", self.column, "columns", self.columns, width)
-        self.hold(RegionState(np.array([self.row, self.column, rows, columns])))
+        self.set_state(RegionState(np.array([self.row, self.column, rows, columns])))
         channels, units = ("depth", "valid"), (spec.units[0], "")
         return {"out": spec.derive(shape=(2,), dtype=np.dtype(np.float64), channels=channels, units=units)}
 

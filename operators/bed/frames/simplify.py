@@ -97,7 +97,7 @@ class Simplify(Operator[SimplifyState]):
             means(b, m), False, Learner.of(b, m), NEVER, 0, _apart(blocks, most), most,
             max(1, int(np.ceil(self.least_valid * b * b))),
         )  # fmt: skip
-        self.hold(state)
+        self.set_state(state)
         _use(state, state.vectors, np.zeros(b * b))
         meta = {**spec.meta, "simplified": {"block": b, "components": m}}
         grid_spec = spec.derive(shape=(height // b, width // b), dtype=np.dtype(np.float64), meta=meta)

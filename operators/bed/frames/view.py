@@ -96,7 +96,7 @@ class View(Operator[ViewState]):
         spec = specs["in"]
         block = block_of(spec, "in")
         rows, columns = spec.shape
-        self.hold(
+        self.set_state(
             ViewState(
                 block, Seconds.of(spec.shape), np.full((RECENT, rows, columns), np.nan), 0, np.full(spec.shape, np.nan), 0, 0.0,
                 0, 0, 0, 0, NEVER, False, 0, False, False, 0,

@@ -87,7 +87,7 @@ class Looks:
         self.pipeline.stages["bed"].edges["out"].observers.append(self._bed)
 
     def run(self) -> None:
-        camera = self.graph.nodes["camera"].part.fresh()
+        camera = self.graph.nodes["camera"].part.unopened()
         camera.prepare()
         camera.read(self)
 
@@ -138,7 +138,7 @@ class Looks:
 
     def ready(self) -> None: ...
 
-    def hear(self, timeout_s: float) -> str | None:
+    def listen(self, timeout_s: float) -> str | None:
         return None
 
     def identify(self, device: str, **facts: str | float) -> None: ...

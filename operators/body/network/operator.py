@@ -67,7 +67,7 @@ class PoseNetwork(Operator[PoseNetworkState]):
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("image", "person")
-    agrees: ClassVar[str] = "MediaPipe Pose (network, refinement by heat maps, next square)"
+    references: ClassVar[str] = "MediaPipe Pose (network, refinement by heat maps, next square)"
 
     model: str = param("", help="the network's file; left out: the one that `kinegraph files fetch pose-model` brings")
     needed: bool = param(True, help="false: without the network nobody is seen, and the graph runs on")
@@ -89,7 +89,7 @@ class PoseNetwork(Operator[PoseNetworkState]):
             raise InputError("person", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
         model = FIGURE if self.model == FIGURE else self._found()
         pairing = Pairing.within(self.apart_s, image, person)
-        self.hold(PoseNetworkState(model, pairing, InStep.for_frames(person), np.full(4, np.nan), 0))
+        self.set_state(PoseNetworkState(model, pairing, InStep.for_frames(person), np.full(4, np.nan), 0))
         meta = {**person.meta, "landmarks": list(LANDMARKS)}
         settling_s = max(image.settling_s, person.settling_s)
         spec = StreamSpec((), SEEN, rate_hz=person.rate_hz, units=("px, m", "", ""), settling_s=settling_s, meta=meta)

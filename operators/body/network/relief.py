@@ -65,7 +65,7 @@ class Relief(Operator[ReliefState]):
         spec = specs["in"]
         if spec.dtype != np.uint16 or len(spec.shape) != 2:
             raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 where nobody is")
-        self.hold(ReliefState(np.zeros(spec.shape)))
+        self.set_state(ReliefState(np.zeros(spec.shape)))
         return {"out": spec.derive(dtype=np.dtype(np.uint8), units=("",))}
 
     def process(self, port: str, chunk: Chunk) -> Chunk:

@@ -87,7 +87,7 @@ class CycleBursts(Operator[BurstsState]):
             Expected.none(specs["closed"].dtype), np.full((2, n, 20), np.nan), np.zeros(n, np.int64), RunningCurve.none(POINTS, n),
             RunningCurve.none(MAIN, n), CycleHistory.none(POINTS + MAIN, n), Belonging.of(spec), list(spec.channels),
         )  # fmt: skip
-        self.hold(state, decision_s={"bursts": 0.0, "session": 0.0})
+        self.set_state(state, decision_s={"bursts": 0.0, "session": 0.0})
         unit = spec.units[0] if len(spec.units) == 1 else ""
         when = ("ns", "ns", "", "", "")
         return {

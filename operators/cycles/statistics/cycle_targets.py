@@ -79,7 +79,7 @@ class CycleTargets(Operator[TargetsState]):
         n = len(names)
         places = np.array([spec.channels.index(t.muscle) for t in self.targets])
         expected = Expected.none(specs["closed"].dtype)
-        self.hold(
+        self.set_state(
             TargetsState(expected, np.zeros(n, np.int64), np.zeros(n, np.int64), places, np.full(n, np.nan)),
             decision_s={"targets": 0.0},
         )

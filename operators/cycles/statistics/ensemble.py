@@ -89,7 +89,7 @@ class CycleEnsemble(Operator[EnsembleState]):
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
         n = spec.shape[1]
-        self.hold(
+        self.set_state(
             EnsembleState(
                 Expected.none(specs["closed"].dtype), RunningCurve.none(POINTS, n),
                 Belonging.of(spec), np.zeros(n, np.int64), np.full((self.remember, POINTS, n), np.nan),

@@ -80,7 +80,7 @@ class MedianFrequency(Operator[MedianFrequencyState]):
         state = MedianFrequencyState(
             RecentSamples.of(keep, m), np.zeros((5, m)), CycleHistory.none(3, m), -1, spec.period_ns, limbs, names
         )
-        self.hold(state, decision_s={"out": 0.0})
+        self.set_state(state, decision_s={"out": 0.0})
         meta = {**spec.meta, **{k: v for k, v in specs["closed"].meta.items() if k in ("limbs", "muscles", "side")}}
         units = ("ns", "ns", "", "", "", "Hz", "Hz", "%/min", "")
         return {"out": StreamSpec((), FREQUENCY, units=units, meta=meta)}

@@ -80,7 +80,7 @@ class NormativeBands(Operator[NormativeBandsState]):
         state = NormativeBandsState(
             Expected.none(specs["closed"].dtype), low, high, Belonging.of(spec), list(spec.channels)
         )
-        self.hold(state, decision_s={"against": 0.0})
+        self.set_state(state, decision_s={"against": 0.0})
         meta = {**spec.meta, "norms": Path(self.file).name}
         units = ("ns", "ns", "", "", "%", "%", "%", "%", unit)
         return {

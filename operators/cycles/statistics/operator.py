@@ -106,7 +106,7 @@ class CycleStatistics(Operator[CycleStatisticsState]):
         spec = check_cycles(specs)
         n = spec.shape[1]
         nothing = (NEVER, np.empty(0, np.int64), np.empty(0, STATISTICS))
-        self.hold(
+        self.set_state(
             CycleStatisticsState(
                 Expected.none(specs["closed"].dtype), RunningCurve.none(spec.shape[0], n),
                 np.zeros(n),

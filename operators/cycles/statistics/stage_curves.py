@@ -58,7 +58,7 @@ class StageCurves(Operator[StageCurvesState]):
         state = StageCurvesState(
             Expected.none(closed.dtype), RunningCurve.none(POINTS, n), CycleHistory.none(POINTS, n), "", 0
         )
-        self.hold(state, decision_s={"sofar": 0.0})
+        self.set_state(state, decision_s={"sofar": 0.0})
         return {
             "mean": spec,
             "sd": spec,

@@ -98,7 +98,7 @@ class LimbSymmetry(Operator[SymmetryState]):
         ]
         k = len(MEASURES) * len(muscles) + len(STRIDE)
         both, longest_s = (2, REVISABLE), longest_cycle_s(closed)
-        self.hold(
+        self.set_state(
             SymmetryState(
                 np.full(both, -1), np.zeros(both, np.int64), np.zeros(both, np.int64), np.zeros(2, np.int64), np.full((*both, k), np.nan),
                 np.full(REVISABLE, -1), np.full((REVISABLE, k), np.nan), RunningCurve.none(1, k), NEVER, np.zeros(both, np.int64),

@@ -22,7 +22,7 @@ def settled_envelope(
     envelope: Envelope, spec: StreamSpec, chunks: Iterable[Chunk]
 ) -> tuple[Times, Samples, StreamSpec]:
     """The envelope of a recorded signal without what is not settled: stamps (n,), samples (n, channels), spec. Raises KinegraphError."""
-    operator = envelope.fresh()
+    operator = envelope.unopened()
     out = operator.open({"in": spec})["out"]
     times, rows, since = [np.empty(0, np.int64)], [np.empty((0, *out.shape))], None
     for chunk in chunks:
@@ -57,7 +57,7 @@ def mean_cycle(
     envelope: Envelope, spec: StreamSpec, recording: Recording, emg: str, touchdown: str
 ) -> tuple[Samples, int]:
     """The mean curve (100, channels) of the recording's accepted cycles, and how many they were. Raises KinegraphError."""
-    enveloping, cutting = envelope.fresh(), Cycles()
+    enveloping, cutting = envelope.unopened(), Cycles()
     specs = {"signal": enveloping.open({"in": spec})["out"], "touchdown": recording.stream(touchdown).spec}
     cutting.open(specs)
     merge = Merge(specs)

@@ -136,7 +136,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
         stored = read_references(Path(self.reference), mixture, names) if self.reference else References.none(g)
         room, *held = (PeakWindow.none(max(self.first, self.cycles), spec.shape[1], limbs) for _ in range(limbs + 1))
         pairs = limb_pairing(group, limb, spec) if limbs > 1 else pairing(names, others)
-        self.hold(
+        self.set_state(
             MixtureDriftState(
                 Expected.none(specs["closed"].dtype),
                 room, Refit.none(self.cycles, group.shape[1]),

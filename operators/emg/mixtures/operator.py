@@ -118,7 +118,7 @@ class PeakMixtures(Operator[MixturesState]):
         refit = Refit.none(self.cycles, group.shape[1])
         rate_hz = specs["pace"].rate_hz if "pace" in specs else None
         late_s = (len(group) + 1) * refit.most_calls(self.most_sweeps) / rate_hz if rate_hz else 0.0
-        self.hold(
+        self.set_state(
             MixturesState(
                 Expected.none(specs["closed"].dtype), PeakWindow.none(self.cycles, spec.shape[1], limbs),
                 refit,

@@ -119,7 +119,7 @@ class GrowingGraph(_Turning):
         object.__setattr__(self, "turn", turned_to(BODY, spec))
         scale, gap_ns = METRES[spec.units[0]], longest_gap_ns(rate_hz)
         taken_s = (2 * WINDOWS + 2) / rate_hz
-        self.hold(
+        self.set_state(
             GrowingState(growth, scale, order, np.array(sides), blend, gap_ns, spec.period_ns),
             decision_s={"node": taken_s, "edge": taken_s},
         )

@@ -197,7 +197,7 @@ class Retrieve(_Searching):
         spec = specs["in"]
         if spec.dtype != QUERY or spec.shape != ():
             raise InputError("in", spec.describe(), f"queries: events with the fields {', '.join(QUERY.names or ())}")
-        self.hold(None)
+        self.set_state(None)
         found = _prepared(self.model, self.model.stat().st_mtime_ns if self.model.exists() else 0)
         object.__setattr__(self, "search", found)
         unit = found.motion.unit

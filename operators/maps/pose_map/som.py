@@ -193,7 +193,7 @@ class PoseGrid(Operator[PoseGridState]):
         rate_hz = regular(spec)
         index = MotionIndex.read(self.model) if self.model else None
         s = self._learned(spec, index) if index else self._fresh(spec, rate_hz)
-        self.hold(s)
+        self.set_state(s)
         place = spec.derive(shape=(2,), dtype=np.dtype(np.float64), channels=("column", "row"), units=("", ""))
         names = names_of(spec)
         facts = {**spec.meta, "columns": s.columns, "features": [names[c] for c in s.used]}

@@ -148,7 +148,7 @@ class NameRepetitions(Operator[NamingState]):
         ring = samples_in("window_s", self.window_s, rate_hz)
         if ring > 20000:
             raise ParameterError("window_s", self.window_s, f"at most {20000 / rate_hz:.4g} s of {rate_hz:g} Hz")
-        self.hold(
+        self.set_state(
             NamingState(
                 recent=RecentFrames.of(ring, spec.shape[0]),
                 images=RecentFrames.of(ring if "mirrored" in specs else 1, spec.shape[0]),

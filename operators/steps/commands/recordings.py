@@ -75,7 +75,7 @@ def read_walk(path: Path, finder: Steps, stream: str = "") -> Walk:
         if len(fitting) != 1:
             what = f"{', '.join(fitting)} could be meant" if fitting else "none is acceleration at a regular rate"
             raise KinegraphError(f"{path}: --stream must name the inertial sensor's signal; {what}")
-        operator = finder.fresh()
+        operator = finder.unopened()
         spec = operator.open({"in": recording.stream(fitting[0]).spec})["steps"]
         rows = [np.empty(0, STEP)]
         for chunk in [*recording.chunks(fitting[0]), None]:
@@ -118,7 +118,7 @@ def labelled(walks: list[Walk], labels: dict[str, tuple[str, str]]) -> Labelled:
 
 def _suits(finder: Steps, spec: StreamSpec) -> bool:
     try:
-        finder.fresh().open({"in": spec})
+        finder.unopened().open({"in": spec})
     except InputError:
         return False
     return True

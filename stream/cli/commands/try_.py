@@ -45,14 +45,14 @@ def try_(
                 console.print(_hint(output, seconds), soft_wrap=True)
     except Broken as broken:
         raise LawBroken(operator, broken) from None
-    for rule, reason in cls.departures.items():
+    for rule, reason in cls.exemptions.items():
         console.print(f"not checked: rule '{rule}' ({reason})", style="dim")
 
 
 def _hint(output: str, seconds: float) -> str:
     return (
         f"hint: by its stamps, output '{output}' lags its input by {1000 * seconds:.3g} ms; if that is a filter's delay, "
-        "subtract it from the stamps and from `until`, and declare it: hold(state, delay_s=...)"
+        "subtract it from the stamps and from `until`, and declare it: set_state(state, delay_s=...)"
     )
 
 

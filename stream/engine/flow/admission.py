@@ -105,17 +105,19 @@ def _is_ordered(time: Times, until: int) -> bool:
     return before <= until
 
 
-def admit(chunk: Chunk, watermark: int, owed: int, arrival: int, *, awaited: bool, watched: bool) -> Verdict:
+def admit(
+    chunk: Chunk, watermark: int, pending_gap: int, arrival: int, *, has_readers: bool, checks_clock: bool
+) -> Verdict:
     """The lateness rule: a sample at or before the stream's `watermark` is dropped and counted as lost; the watermark never goes back.
 
-    owed      samples lost before the next one, beyond what its chunk says
+    pending_gap samples lost before the next one, beyond what its chunk says
     arrival   when the chunk came (ns of session time)
-    awaited   whether anybody waits for what time brings; if not, only samples enter
-    watched   whether stamps ahead of the session's clock are still to be reported
+    has_readers whether anybody waits for what time brings; if not, only samples enter
+    checks_clock whether stamps ahead of the session's clock are still to be reported
     """
     time, until, lost = chunk.time, chunk.until, chunk.lost
     n, late = len(time), 0
-    ahead_ns = until - arrival if watched and arrival + AHEAD_NS < until < FOREVER else 0
+    ahead_ns = until - arrival if checks_clock and arrival + AHEAD_NS < until < FOREVER else 0
     if n and time.item(0) <= watermark:
         keep = time > watermark
         late = n - int(keep.sum())
@@ -123,10 +125,10 @@ def admit(chunk: Chunk, watermark: int, owed: int, arrival: int, *, awaited: boo
         lost = add_lost(lost, late)
         chunk = Chunk(np.ascontiguousarray(time[keep]), np.ascontiguousarray(chunk.data[keep]), until, lost)
     if not n:
-        if not lost and (until <= watermark or not (awaited or until == FOREVER)):
+        if not lost and (until <= watermark or not (has_readers or until == FOREVER)):
             return Verdict(None, late, ahead_ns) if late or ahead_ns else NOTHING_NEW
-    elif owed:
-        lost = add_lost(owed, lost)
+    elif pending_gap:
+        lost = add_lost(pending_gap, lost)
     if until < watermark:
         until = watermark
     if lost != chunk.lost or until != chunk.until:

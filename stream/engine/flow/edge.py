@@ -135,11 +135,11 @@ class LiveEdge:
     slot     of the worker that its node runs on; None: what comes was checked where it entered (a source's, a recording's)
     strict   whether the ends of stamps are checked, too, whoever observes the edge
     reached  how far its node's inputs are
-    owed     samples lost before the next one
+    pending_gap samples lost before the next one
     """
 
     __slots__ = (
-        *("gaps", "lost", "observers", "origin", "owed", "reached"),
+        *("gaps", "lost", "observers", "origin", "pending_gap", "reached"),
         *("readers", "samples", "send", "slot", "spec", "strict", "told"),
     )
 
@@ -149,7 +149,7 @@ class LiveEdge:
         self.origin, self.spec, self.slot, self.reached = origin, spec, slot, reached
         self.observers: list[Observer] = []
         self.readers: list[Push] = []
-        self.owed = self.gaps = self.lost = self.samples = 0
+        self.pending_gap = self.gaps = self.lost = self.samples = 0
         self.told = NEVER
         self.strict = False
         self.send: Push = self.carry
@@ -194,7 +194,7 @@ class LiveEdge:
     def enter(self, chunk: Chunk) -> Chunk:
         """Check, count and observe a chunk, and give it as readers take it."""
         self.check(chunk)
-        if chunk.lost or self.owed:
+        if chunk.lost or self.pending_gap:
             chunk = self._with_lost(chunk)
         self.samples += len(chunk.time)
         if not (chunk.data.flags.carray and chunk.time.flags.carray):
@@ -205,11 +205,11 @@ class LiveEdge:
 
     def _with_lost(self, chunk: Chunk) -> Chunk:
         """Move a `lost` without samples to the next chunk that has some."""
-        lost = add_lost(self.owed, chunk.lost)
+        lost = add_lost(self.pending_gap, chunk.lost)
         if not len(chunk.time):
-            self.owed = lost
+            self.pending_gap = lost
             return Chunk(chunk.time, chunk.data, chunk.until, 0)
-        self.owed = 0
+        self.pending_gap = 0
         self.gaps += 1
         self.lost = add_lost(self.lost, lost)
         return Chunk(chunk.time, chunk.data, chunk.until, lost)

@@ -36,7 +36,7 @@ class BoundedQueue:
     on_drop   told (first, n) of every drop: the dropped samples' running index in this queue and their number
     waiting   what waits: chunks, their arrivals, and the running index of their first samples
     gathered  what came after that, which its writer keeps for a moment to take it on together: chunks, and when they came
-    owed      how many samples were dropped before the next chunk that is taken
+    pending_gap how many samples were dropped before the next chunk that is taken
     arrival_of  makes an arrival of when a gathered chunk came (ns of the host's monotonic clock)
     index     how many samples have come by, ever
     chunks    and in how many chunks
@@ -58,8 +58,8 @@ class BoundedQueue:
         "limit",
         "name",
         "on_drop",
-        "owed",
         "owner",
+        "pending_gap",
         "policy",
         "ready",
         "told",
@@ -85,7 +85,7 @@ class BoundedQueue:
         self.chunks = self.index = 0
         self.waiting: deque[tuple[Chunk, int, int]] = deque()
         self.gathered: deque[tuple[Chunk, int]] = deque()
-        self.owed = 0
+        self.pending_gap = 0
         self.told = NEVER
         self._lock = threading.Lock()
         self._room = threading.Event()
@@ -151,9 +151,9 @@ class BoundedQueue:
                 return None
             chunk, arrival, _ = self.waiting.popleft()
             self._gone_bytes += chunk.data.nbytes
-            if self.owed:
-                chunk = Chunk(chunk.time, chunk.data, chunk.until, add_lost(self.owed, chunk.lost))
-                self.owed = 0
+            if self.pending_gap:
+                chunk = Chunk(chunk.time, chunk.data, chunk.until, add_lost(self.pending_gap, chunk.lost))
+                self.pending_gap = 0
         if not self._room.is_set():
             self._room.set()
         self.told = chunk.until
@@ -189,7 +189,7 @@ class BoundedQueue:
             self.index += len(chunk.time)
             self.chunks += 1
             n = len(oldest.time)
-            self.owed = add_lost(self.owed, add_lost(oldest.lost, n))
+            self.pending_gap = add_lost(self.pending_gap, add_lost(oldest.lost, n))
             self.dropped += n
         if n and self.on_drop:
             self.on_drop(index, n)
@@ -207,13 +207,13 @@ class Drops:
 
     ranges: list[tuple[int, int]] = field(default_factory=list)
     index: int = 0
-    owed: int = 0
+    pending_gap: int = 0
 
     def repeat(self, chunk: Chunk) -> Chunk:
         """The chunk without the samples that were dropped, which are added to the next sample's `lost`."""
         n = len(chunk.time)
         first, self.index = self.index, self.index + n
-        if not self.ranges and not self.owed:
+        if not self.ranges and not self.pending_gap:
             return chunk
         gone = np.zeros(n, bool)
         for start, count in self.ranges:
@@ -221,13 +221,13 @@ class Drops:
         self.ranges = [(s, c) for s, c in self.ranges if s + c > self.index]
         if not gone.any():
             return self._marked(chunk)
-        self.owed = add_lost(self.owed, add_lost(chunk.lost, int(gone.sum())))
+        self.pending_gap = add_lost(self.pending_gap, add_lost(chunk.lost, int(gone.sum())))
         return self._marked(Chunk(chunk.time[~gone], chunk.data[~gone], chunk.until, 0))
 
     def _marked(self, chunk: Chunk) -> Chunk:
-        if not self.owed or not len(chunk.time):
+        if not self.pending_gap or not len(chunk.time):
             return chunk
-        lost, self.owed = add_lost(self.owed, chunk.lost), 0
+        lost, self.pending_gap = add_lost(self.pending_gap, chunk.lost), 0
         return Chunk(chunk.time, chunk.data, chunk.until, lost)
 
 

@@ -25,7 +25,7 @@ from kinegraph.stream.operator import Operator
 POSSIBLE = sys.platform == "linux"
 TIMED = 1024
 """This many passages are timed between two readings of their times; further ones are not."""
-COUNT, TIMES, DESK, SAMPLES, STAMPS = 0, 1, 2, 3, 5
+COUNT, TIMES, RUNTIME, SAMPLES, STAMPS = 0, 1, 2, 3, 5
 """The table's first places: passages timed; the addresses of their times, of the clock's desk, and of two buffers each for samples and
 stamps between steps."""
 FIRST = 7
@@ -72,7 +72,7 @@ class Row:
         self._times = np.zeros((TIMED, len(steps) + 1), np.int64)
         self._kept: list[Array] = [np.zeros(2, np.int64)]  # whatever the table has the address of
         self._cells = [0] * FIRST
-        self._cells[TIMES], self._cells[DESK] = self._times.ctypes.data, self._kept[0].ctypes.data
+        self._cells[TIMES], self._cells[RUNTIME] = self._times.ctypes.data, self._kept[0].ctypes.data
         self.thinning = next((i for i, step in enumerate(steps) if step.rows), None)
         self.rows = None if self.thinning is None else steps[self.thinning].rows
         self.moves = any("stamps" in arguments(step.kernel) for step in steps)
@@ -142,7 +142,7 @@ class Row:
             if moves:
                 lines += self._checked(i, flow["stamps"], rows)
             flow["x"], flow["time"] = flow["out"], flow["stamps"] if moves else flow["time"]
-            lines.append(f"    t{i + 1} = clock(table[{DESK}]) if t0 else 0")
+            lines.append(f"    t{i + 1} = clock(table[{RUNTIME}]) if t0 else 0")
             if i == self.thinning and i < last:
                 lines += ["    if m == 0:", *self._noted(i + 1, "        ")]
         if self.moves and flow["time"] != "stamps":

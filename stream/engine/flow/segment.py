@@ -187,7 +187,7 @@ class Code:
             f"p{b} = edge{b}.told",
             *self._the_same(i, a, b, carried),
             "    n = len(given.time)",
-            f"    if given.lost or edge{b}.owed or given.until < p{b} or {self._broken(b, 'given', f'c{a}.until')}{untidy}:",
+            f"    if given.lost or edge{b}.pending_gap or given.until < p{b} or {self._broken(b, 'given', f'c{a}.until')}{untidy}:",
             *carried,
             f"c{b} = given",
             f"edge{b}.told = c{b}.until",
@@ -226,7 +226,7 @@ class Code:
         untidy = " or not given.time.flags.carray" if i + 1 < len(self.spans) and self.spans[i + 1].row else ""
         return [
             f"if given.time is c{a}.time and given.data is c{a}.data:",
-            f"    if given.lost or edge{b}.owed or given.until < p{b}{behind}{untidy}:",
+            f"    if given.lost or edge{b}.pending_gap or given.until < p{b}{behind}{untidy}:",
             *carried,
             "else:",
         ]
@@ -241,14 +241,14 @@ class Code:
     def _row(self, i: int, span: Span, row: Row, *, timed: bool) -> list[str]:
         """The call of a row, unless something about the chunk is unusual: then its first operator is called, and so on from there."""
         a, b = span.before, span.after
-        owed = "".join(f" or edge{k}.owed" for k in range(a + 1, b))
+        pending_gap = "".join(f" or edge{k}.pending_gap" for k in range(a + 1, b))
         before = self._noted(i - 1) if timed and i else []
         end, noted = (f"t{i + 1}", self._noted(i)) if timed else ("clock()", [])
         kept = b if row.thinning is None else a + 1 + row.thinning
         given = f"c{a}.data, c{a}.time, out, stamps, table{i}"
         out = f"c{a}.until - {row.delay_ns}" if row.delay_ns else f"c{a}.until"
         return [
-            f"if not n or c{a}.until == FOREVER or {out} < edge{b}.told{owed}:",
+            f"if not n or c{a}.until == FOREVER or {out} < edge{b}.told{pending_gap}:",
             *(f"    {line}" for line in before),
             f"    return in{i}(c{a}, {f't{i}' if timed else 'clock()'})",
             f"if n > row{i}.room:",
@@ -265,7 +265,7 @@ class Code:
             f"    stray{i}(-t{i + 1}, c{a})",
             *(["if not n:", *(f"    {line}" for line in noted), f"    return {end}"] if row.rows else []),
             f"c{b} = Chunk(stamps, out, {out}, 0)",
-            f"if edge{b}.owed:",
+            f"if edge{b}.pending_gap:",
             *(f"    {line}" for line in noted),
             f"    return carry{b}(c{b}, {end})",
             *(["out.setflags(False)", "stamps.setflags(False)"] if self._lends(i) else []),
@@ -282,7 +282,7 @@ class Code:
             *(["    if c0.__class__ is not Chunk:", "        edge0.check(c0)"] if edge.slot is not None else []),
             *lines,
             "    p0 = edge0.told",
-            f"    if c0.lost or edge0.owed{broken}{self._untidy(0, 'c0')}:",
+            f"    if c0.lost or edge0.pending_gap{broken}{self._untidy(0, 'c0')}:",
             "        return carry0(c0, t0)",
             "    edge0.told = c0.until",
         ]

@@ -103,7 +103,7 @@ class _Opening:
                 else self._said(draft, part, part.specs, wires)
             )
             return None if given is None else _node(draft, part, wires, given)
-        operator = part.fresh()
+        operator = part.unopened()
         given = self._said(draft, operator, lambda: operator.open(inputs), wires)
         if given is None:
             return None
@@ -149,7 +149,7 @@ class _Opening:
             return None
         if isinstance(part, Operator) and not hasattr(part, "state"):
             self.problems.add(
-                f"{draft.kind.__name__}.open() must call hold(state, delay_s=...)", draft.entry, draft.name
+                f"{draft.kind.__name__}.open() must call set_state(state, delay_s=...)", draft.entry, draft.name
             )
             return None
         return specs

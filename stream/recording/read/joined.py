@@ -30,7 +30,7 @@ class _Heap:
 
     end      the recording's index of the sample after the last one, over all heaps of the stream
     missed   (chunks before it, samples): what a full disk cost
-    owed     samples lost before the first one that comes
+    pending_gap samples lost before the first one that comes
     last     sequence and `until` of the newest chunk that was taken
     """
 
@@ -43,7 +43,7 @@ class _Heap:
     chunks: int = 0
     first_sequence: int = 0
     arrival: int = 0
-    owed: int = 0
+    pending_gap: int = 0
     last: tuple[int, int] = (0, 0)
 
     def add(self, body: memoryview) -> int:
@@ -70,14 +70,18 @@ class _Heap:
         data = np.frombuffer(bytearray().join(self.data), self.spec.dtype).reshape(len(time), *self.spec.shape)
         # what is lost on an empty chunk is lost before the next sample: until then time went on without a gap, as it did live
         filled = np.flatnonzero(rows[:, 0])
-        gaps = [(0, self.owed), *self.missed, *((i, int(rows[i, 2])) for i in np.flatnonzero(rows[:, 2]).tolist())]
+        gaps = [
+            (0, self.pending_gap),
+            *self.missed,
+            *((i, int(rows[i, 2])) for i in np.flatnonzero(rows[:, 2]).tolist()),
+        ]
         lost: dict[int, int] = {}
-        self.owed = 0
+        self.pending_gap = 0
         for i, missing in gaps:
             if not missing:
                 continue
             if (at := int(np.searchsorted(filled, i))) == len(filled):
-                self.owed = add_lost(self.owed, missing)
+                self.pending_gap = add_lost(self.pending_gap, missing)
             else:
                 lost[int(filled[at])] = add_lost(lost.get(int(filled[at]), 0), missing)
         taken: list[tuple[int, Chunk, int]] = []
@@ -120,9 +124,9 @@ def joined(recording: Recording, names: set[str]) -> Iterator[tuple[int, str, Ch
             newest = max(newest, heap.arrival)
         yield from _flush(heaps)
     for name, heap in heaps.items():
-        if heap.owed:
+        if heap.pending_gap:
             sequence, until = heap.last
-            yield sequence, name, empty(heap.spec, until, heap.owed), heap.arrival
+            yield sequence, name, empty(heap.spec, until, heap.pending_gap), heap.arrival
 
 
 def _flush(heaps: dict[str, _Heap]) -> Iterator[tuple[int, str, Chunk, int]]:

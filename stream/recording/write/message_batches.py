@@ -1,4 +1,4 @@
-"""Rounds: all streams' messages of about 100 ms, handed to the recorder's thread together, so that readers can sort their chunks."""
+"""Batches of messages: about 100 ms of all streams, handed to the recorder's thread together so that readers can sort them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from threading import Event, Lock
 
 from kinegraph.stream.chunk import Chunk
-from kinegraph.stream.recording.write.message_builder import Gathering
+from kinegraph.stream.recording.write.message_builder import MessageBuilder
 from kinegraph.stream.recording.write.recorder_slot import RecorderSlot
 
 ROUND_BYTES = 1 << 20
@@ -15,14 +15,14 @@ ROUND_BYTES = 1 << 20
 
 
 @dataclass(slots=True)
-class Round:
+class MessageBatch:
     """What was gathered until `newest`, an arrival in ns: messages, each with its stream."""
 
     newest: int
-    messages: list[tuple[RecorderSlot, Gathering]] = field(default_factory=list)
+    messages: list[tuple[RecorderSlot, MessageBuilder]] = field(default_factory=list)
 
 
-class Rounds:
+class MessageBatches:
     """The round that is being gathered. Any thread may add to it, and end it.
 
     newest   the newest arrival so far (ns)
@@ -31,12 +31,12 @@ class Rounds:
     """
 
     def __init__(
-        self, slots: Sequence[RecorderSlot], gather_ns: int, hand_over: Callable[[Round | Event], None]
+        self, slots: Sequence[RecorderSlot], gather_ns: int, hand_over: Callable[[MessageBatch | Event], None]
     ) -> None:
         """`hand_over` takes each round that ends, one after the other, and the marks between them."""
         self._slots, self._gather_ns, self._hand_over = slots, gather_ns, hand_over
         self._lock = Lock()
-        self._ended: list[tuple[RecorderSlot, Gathering]] = []
+        self._ended: list[tuple[RecorderSlot, MessageBuilder]] = []
         self._opened = self.size = 0
         self.newest = self.oldest = 0
 
@@ -61,13 +61,13 @@ class Rounds:
             slot.put += size
             self.size += size
 
-    def _begun(self, slot: RecorderSlot) -> Gathering:
+    def _begun(self, slot: RecorderSlot) -> MessageBuilder:
         """A new message of a stream, behind what the recorder has missed."""
         self._ended_with(slot)
         assert slot.spec is not None
         slot.index += slot.missed
         slot.missed = 0
-        slot.gathering = Gathering(slot.spec, slot.kept, slot.index, copied=slot.copied)
+        slot.gathering = MessageBuilder(slot.spec, slot.kept, slot.index, copied=slot.copied)
         return slot.gathering
 
     def _ended_with(self, slot: RecorderSlot) -> None:
@@ -88,6 +88,6 @@ class Rounds:
     def _end(self) -> None:
         for slot in self._slots:
             self._ended_with(slot)
-        self._hand_over(Round(self.newest, [(slot, message) for slot, message in self._ended if message.chunks]))
+        self._hand_over(MessageBatch(self.newest, [(slot, message) for slot, message in self._ended if message.chunks]))
         self._ended = []
         self.size = 0

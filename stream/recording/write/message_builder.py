@@ -21,7 +21,7 @@ HELD_BYTES = 1 << 14
 """Samples of a computed edge with more bytes are held until they are written, not copied: nobody writes to them again."""
 
 
-class Gathering:
+class MessageBuilder:
     """Chunks of one stream, in the order in which they came.
 
     first     cumulative index of the first sample

@@ -13,8 +13,8 @@ import structlog
 from kinegraph.stream.recording.format.image import encode_image
 from kinegraph.stream.recording.format.layout import dump, encode_log
 from kinegraph.stream.recording.write.file_segments import FileSegments
-from kinegraph.stream.recording.write.message_batches import Round
-from kinegraph.stream.recording.write.message_builder import Gathering
+from kinegraph.stream.recording.write.message_batches import MessageBatch
+from kinegraph.stream.recording.write.message_builder import MessageBuilder
 from kinegraph.stream.recording.write.recorder_slot import OVERHEAD, RecorderSlot
 
 log = structlog.get_logger(__name__)
@@ -52,7 +52,7 @@ class RecordWriter:
         self.done = 0
         self.error = ""
 
-    def take(self, gathered: Round) -> None:
+    def take(self, gathered: MessageBatch) -> None:
         """The messages of a round; all of them bear one batch number, so that readers can sort them."""
         self._newest = gathered.newest
         for slot, message in gathered.messages:
@@ -63,7 +63,7 @@ class RecordWriter:
         if self._segments.waiting > SPOOL_BYTES:
             self.save()
 
-    def _frames(self, slot: RecorderSlot, message: Gathering) -> None:
+    def _frames(self, slot: RecorderSlot, message: MessageBuilder) -> None:
         """Frames go before the table of their chunks."""
         index = message.first
         for arrival, stamps, frames in message.frames:

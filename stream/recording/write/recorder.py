@@ -21,7 +21,7 @@ from kinegraph.stream.recording.format.packed import Packer
 from kinegraph.stream.recording.format.paths import claim, give_back
 from kinegraph.stream.recording.read.reader import missing_at
 from kinegraph.stream.recording.write.file_segments import FileSegments
-from kinegraph.stream.recording.write.message_batches import Rounds
+from kinegraph.stream.recording.write.message_batches import MessageBatches
 from kinegraph.stream.recording.write.record_writer import GRACE_S, SPOOL_BYTES, RecordWriter
 from kinegraph.stream.recording.write.recorder_slot import OVERHEAD, STREAMS, RecorderSlot, RecorderStatus
 from kinegraph.stream.recording.write.recorder_thread import Handed, RecorderThread
@@ -63,7 +63,7 @@ class Recorder:
         self._missing = ""
         self._slots = [RecorderSlot(LOG), RecorderSlot(METRICS)]
         self._queue: SimpleQueue[Handed] = SimpleQueue()
-        self._rounds = Rounds(self._slots, round(options.gather_s * NS), self._queue.put)
+        self._rounds = MessageBatches(self._slots, round(options.gather_s * NS), self._queue.put)
         self._lock, number = claim(path, taken=resume)
         self._segments = FileSegments(path, number, header, options, live=not wait)
         stop = Event()
@@ -180,9 +180,9 @@ class Recorder:
             missing=self._missing,
         )
 
-    def lull(self) -> None:
+    def idle_hint(self) -> None:
         """The session has nothing to do just now. The recorder's thread shares the interpreter with it, and works best in between."""
-        self._thread.lull()
+        self._thread.idle_hint()
 
     @property
     def patient(self) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from kinegraph.stream.chunk import StreamSpec
 from kinegraph.stream.recording.format.layout import Kept
 from kinegraph.stream.recording.format.packed import Packer
-from kinegraph.stream.recording.write.message_builder import Gathering
+from kinegraph.stream.recording.write.message_builder import MessageBuilder
 
 STREAMS = 2
 """The number of the first stream's slot, after those of the log and the metrics."""
@@ -62,7 +62,7 @@ class RecorderSlot:
     missed: int = 0
     got: int = 0
     index: int = 0
-    gathering: Gathering | None = None
+    gathering: MessageBuilder | None = None
     kept: Kept = "whole"
     copied: bool = False
     topic: int = 0

@@ -8,7 +8,7 @@ from threading import Event, Thread
 from typing import Any, TypeAlias
 
 from kinegraph.stream.recording.write.file_segments import FileSegments
-from kinegraph.stream.recording.write.message_batches import Round, Rounds
+from kinegraph.stream.recording.write.message_batches import MessageBatch, MessageBatches
 from kinegraph.stream.recording.write.record_writer import RecordWriter
 from kinegraph.stream.system.stalls import let_others_go_on
 
@@ -18,7 +18,7 @@ PATIENCE_S = 0.02
 """How long the recorder waits for a moment at which the session has nothing to do."""
 Line: TypeAlias = tuple[int, Any, int]
 """A line of the log (0) or of the metrics (1), and its time (ns)."""
-Handed: TypeAlias = Round | Line | Event
+Handed: TypeAlias = MessageBatch | Line | Event
 """What waits for the thread; an event marks a place, and is set once all before it is on the disk."""
 
 
@@ -31,7 +31,7 @@ class RecorderThread:
     def __init__(
         self,
         queue: SimpleQueue[Handed],
-        rounds: Rounds,
+        rounds: MessageBatches,
         writer: RecordWriter,
         segments: FileSegments,
         stop: Event,
@@ -56,7 +56,7 @@ class RecorderThread:
         if not self._wake.is_set():
             self._wake.set()
 
-    def lull(self) -> None:
+    def idle_hint(self) -> None:
         """The session has nothing to do just now."""
         self._lull.set()
 
@@ -105,7 +105,7 @@ class RecorderThread:
                 break
             if item is here:
                 break
-            if isinstance(item, Round):
+            if isinstance(item, MessageBatch):
                 writer.take(item)
             elif isinstance(item, Event):
                 writer.sync()

@@ -100,7 +100,7 @@ class Groups:
             self.stage_fields[stage].remove(fields)
         self.where[k] = NONE
 
-    def hear(self, port: str, rows: Array) -> None:
+    def add(self, port: str, rows: Array) -> None:
         """Footfalls, gaits, symmetry indices."""
         for row in rows:
             if port == "footfalls" and str(row["limb"]) in self.feet:

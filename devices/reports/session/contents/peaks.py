@@ -28,7 +28,7 @@ class Peaks:
     modes: list[Samples] = field(default_factory=list)
     moved: list[Samples] = field(default_factory=list)
 
-    def hear(self, port: str, rows: Array) -> None:
+    def add(self, port: str, rows: Array) -> None:
         for row in rows:
             i = self._place(str(row["name"]))
             if port == "distance":

@@ -137,7 +137,7 @@ def nothing_yet(specs: Specs) -> Tally:
     )
 
 
-def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
+def add_chunk(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
     """Take a chunk from an input."""
     n = len(chunk)
     if not n:
@@ -181,7 +181,7 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
         for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
             _alarm(tally, port, stamp, row)
     elif port in ("footfalls", "gait", "symmetry", "bursts", "active"):
-        tally.groups.hear(port, chunk.data)
+        tally.groups.add(port, chunk.data)
     elif port == "each_burst":
         for row in chunk.data:
             tally.each_burst.add(
@@ -191,7 +191,7 @@ def hear(tally: Tally, specs: Specs, port: str, chunk: Chunk) -> None:
         for row in chunk.data:
             _frequency(tally, row, specs["cycles"].channels)
     elif port in ("modes", "distance"):
-        tally.peaks.hear(port, chunk.data)
+        tally.peaks.add(port, chunk.data)
     elif port in ("low", "high"):
         tally.norms[int(port == "high")] = chunk.data[-1]
     elif port == "quality":
