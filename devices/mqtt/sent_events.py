@@ -68,4 +68,8 @@ class SentEvents:
                     "rescored": bool(epochs.numbers["rescored"][k]),
                 }
                 told |= {name: as_json(epochs.numbers[name][k], "") for name in ("score", "activity")}
+                if cause := str(epochs.texts["cause"][k]):
+                    mover = archive.nanoseconds(str(epochs.texts["mover"][k]) or archive.iso(0))
+                    told |= {"cause": cause, "mover": as_json(mover, "ns"), "rule": str(epochs.texts["rule"][k])}
+                    told |= {name: as_json(epochs.numbers[name][k], "") for name in ("weight", "adds")}
                 yield int(epochs.onset[k]), json.dumps(told)

@@ -8,11 +8,16 @@ from typing import Any
 import numpy as np
 
 from kinegraph.operators.sleep.methods import ScoringRule
-from kinegraph.operators.sleep.rescoring import rescored, settled
+from kinegraph.operators.sleep.rescoring import RULES, rules_applied, settled
 from kinegraph.stream.chunk import NEVER, NS, Samples, Times
 from kinegraph.stream.domain.night import NAMES, SLEEP, UNKNOWN, WAKE, States
 
 MINUTE = 60 * NS
+
+CAUSES = ("", "movement", "still", "rescored", "unseen", "gaps", "start")
+"""Why an epoch has its state: its score reaches wake, or does not; a rule of Webster; it was not seen; too much around it was not seen;
+its method knows no epochs before the first."""
+MOVEMENT, STILL, RESCORED, UNSEEN, GAPS, START = range(1, len(CAUSES))
 
 
 @dataclass(slots=True)
@@ -21,6 +26,8 @@ class EpochScores:
 
     rule, rescore, least_seen  how they are scored
     activity (n,) counts or motion; NaN: not seen. raw (n,) the state by the score alone, score (n,) that score
+    cause (n,) of CAUSES, as the score alone has it; mover (n,) onset of the epoch whose movement adds most to the score, 0: no movement;
+    weight (n,) that epoch's share of all weight, adds (n,) how much of the score is its
     open     how many of the newest are not scored for good yet; waiting: how many of those scored wait for Webster's rules
     """
 
@@ -32,13 +39,20 @@ class EpochScores:
     activity: Samples
     raw: States
     score: Samples
+    cause: States
+    mover: Times
+    weight: Samples
+    adds: Samples
     open: int
     waiting: int
 
     @staticmethod
     def none(rule: ScoringRule, rescore: bool, least_seen: float, epoch_ns: int, n: int) -> EpochScores:
-        nothing = np.full(n, np.nan), np.zeros(n, np.int8), np.full(n, np.nan)
-        return EpochScores(rule, rescore, least_seen, epoch_ns, np.full(n, NEVER), *nothing, 0, 0)
+        missing, zeros = [np.full(n, np.nan) for _ in range(4)], [np.zeros(n, np.int8) for _ in range(2)]
+        return EpochScores(
+            rule, rescore, least_seen, epoch_ns, np.full(n, NEVER), missing[0], zeros[0], missing[1], zeros[1],
+            np.zeros(n, np.int64), missing[2], missing[3], 0, 0,
+        )  # fmt: skip
 
     @property
     def newest(self) -> int:
@@ -47,13 +61,13 @@ class EpochScores:
 
     def add(self, onset: int, activity: float) -> tuple[Any, ...]:
         """One more epoch; its provisional event, as if no movement were to follow."""
-        for array in (self.onset, self.activity, self.raw, self.score):
+        for array in (self.onset, self.activity, self.raw, self.score, self.cause, self.mover, self.weight, self.adds):
             array[:-1] = array[1:]
         self.onset[-1], self.activity[-1] = onset, activity
         last = len(self.onset) - 1
         self._score(last)
-        state = int(rescored(self.raw, self.epoch_ns / MINUTE)[-1]) if self.rescore else int(self.raw[-1])
-        event = self._event(last, state, final=False)
+        applied = int(rules_applied(self.raw, self.epoch_ns / MINUTE)[-1]) if self.rescore else 0
+        event = self._event(last, applied, final=False)
         self.open += 1
         if self.open > self.rule.future:
             self._score(last - self.rule.future)
@@ -67,14 +81,14 @@ class EpochScores:
             return None
         known = len(self.onset) - self.open
         place = known - self.waiting
-        state = int(self.raw[place])
+        applied = 0
         if self.rescore:
             minutes = self.epoch_ns / MINUTE
             if not ended and not settled(self.raw[:known], place, minutes):
                 return None
-            state = int(rescored(self.raw[:known], minutes, ahead=UNKNOWN if ended else WAKE)[place])
+            applied = int(rules_applied(self.raw[:known], minutes, ahead=UNKNOWN if ended else WAKE)[place])
         self.waiting -= 1
-        return self._event(place, state, final=True)
+        return self._event(place, applied, final=True)
 
     def end(self) -> None:
         """Nothing follows: what is open is scored as it is, and waits."""
@@ -84,6 +98,7 @@ class EpochScores:
 
     def forget(self) -> None:
         self.onset[:], self.activity[:], self.score[:], self.raw[:] = NEVER, np.nan, np.nan, UNKNOWN
+        self.cause[:], self.mover[:], self.weight[:], self.adds[:] = 0, 0, np.nan, np.nan
 
     def distrust(self, onset: int) -> None:
         """Movement in the epoch that began at `onset`, if it is still open, may be somebody else's: it counts as not seen."""
@@ -100,12 +115,22 @@ class EpochScores:
         if self.rule.before == "zero":
             around[: len(absent)][absent] = 0.0
         score, asleep = self.rule.score(around, self.least_seen)
+        mover, self.weight[place], self.adds[place] = self.rule.strongest(around, self.least_seen)
+        self.mover[place] = self.onset[first + mover] if mover >= 0 else 0
         if score != score or (self.rule.before == "unknown" and absent.any()):
             self.score[place], self.raw[place] = np.nan, UNKNOWN
+            self.mover[place], self.weight[place], self.adds[place] = 0, np.nan, np.nan
+            unseen = self.activity[place] != self.activity[place]
+            self.cause[place] = UNSEEN if unseen else GAPS if score != score else START
         else:
             self.score[place], self.raw[place] = score, SLEEP if asleep else WAKE
+            self.cause[place] = STILL if asleep else MOVEMENT
 
-    def _event(self, place: int, state: int, *, final: bool) -> tuple[Any, ...]:
+    def _event(self, place: int, applied: int, *, final: bool) -> tuple[Any, ...]:
+        """`applied`: which of RULES has made wake of it."""
         onset = int(self.onset[place])
-        changed = state != int(self.raw[place])
-        return (onset, onset + self.epoch_ns, NAMES[state], self.score[place], self.activity[place], final, changed)
+        state, cause = (WAKE, RESCORED) if applied else (int(self.raw[place]), int(self.cause[place]))
+        return (
+            onset, onset + self.epoch_ns, NAMES[state], self.score[place], self.activity[place], final, applied > 0,
+            CAUSES[cause], self.mover[place], self.weight[place], self.adds[place], RULES[applied],
+        )  # fmt: skip

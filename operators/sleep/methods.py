@@ -117,17 +117,51 @@ class ScoringRule:
             return np.nan, False
         if self.sadeh:
             return self._sadeh(around, seen)
-        x = np.minimum(around[seen], self.clip)
-        if self.active_above == self.active_above:
-            x = (x > self.active_above).astype(np.float64)
-        if self.whole:
-            x = np.rint(x)
+        x = self._counted(around[seen])
         raw = 0.0
         for weight, value in zip(self.weights[seen].tolist(), x.tolist(), strict=True):
             raw += weight * value
         here, limit = raw * total, self.limit * self.unit * known
         awake = here >= limit if self.wake_at_limit else here > limit
         return here / (self.unit * known), not awake
+
+    def strongest(self, around: Samples, least_seen: float) -> tuple[int, float, float]:
+        """The epoch whose movement moves the score most towards wake: its place in `around`, its weight, what it adds to the score.
+
+        The weight is its share of all weight that was seen; of two that add the same the nearer one counts. Sadeh weighs no single epoch:
+        the weight is NaN, and what is added is the score less what it would be without that movement. Place -1, and NaN: there is no
+        movement, or no score.
+        """
+        score, _ = self.score(around, least_seen)
+        seen = ~np.isnan(around)
+        if score != score or not (around[seen] > 0).any():
+            return -1, np.nan, np.nan
+        known = float(self.weights[seen].sum())
+        if self.sadeh:
+            adds = np.array(
+                [
+                    score - self.score(np.where(one, 0.0, around), least_seen)[0]
+                    for one in np.eye(len(around), dtype=bool)
+                ]
+            )
+        else:
+            adds = np.zeros(len(around))
+            adds[seen] = (
+                self.weights[seen] * self._counted(around[seen]) * float(self.weights.sum()) / (self.unit * known)
+            )
+        adds[~(around > 0)] = 0.0
+        size = -adds if self.sadeh else adds
+        found = int(min(np.flatnonzero(size == size.max()), key=lambda place: abs(int(place) - self.past)))
+        if not size[found] > 0:
+            return -1, np.nan, np.nan
+        return found, np.nan if self.sadeh else float(self.weights[found]) / known, float(adds[found])
+
+    def _counted(self, x: Samples) -> Samples:
+        """Activity as the method counts it."""
+        x = np.minimum(x, self.clip)
+        if self.active_above == self.active_above:
+            x = (x > self.active_above).astype(np.float64)
+        return np.rint(x) if self.whole else x
 
     def _sadeh(self, around: Samples, seen: Samples) -> tuple[float, bool]:
         x = np.minimum(around, self.clip)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinegraph.operators.sleep.scorer import EPOCH
+from kinegraph.operators.sleep.scorer import EPOCH, REASONED
 from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Specs, StreamSpec
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import Case, Operator
@@ -93,7 +93,7 @@ class SleepPeriods(Operator[PeriodsState]):
 
 def scored(spec: StreamSpec, port: str = "in") -> StreamSpec:
     """The spec, if it is one of scored epochs."""
-    if spec.dtype != EPOCH:
+    if spec.dtype not in (EPOCH, REASONED):
         raise InputError(port, spec.describe(), "scored epochs, as operators.sleep.scorer.SleepScorer gives them")
     return spec
 

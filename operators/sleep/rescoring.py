@@ -7,6 +7,8 @@ least 10 (20) min of wake is wake. Unknown epochs end a stretch: nothing is conc
 
 from __future__ import annotations
 
+import numpy as np
+
 from kinegraph.stream.chunk import FOREVER
 from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE, States, runs
 
@@ -16,9 +18,18 @@ REACH_MIN = 30.0
 """How far back and ahead of an epoch anything can matter to it."""
 
 
+RULES = ("", *(f"after {wake:g} min" for wake, _ in AFTER), *(f"between {wake:g} min" for wake, _ in BETWEEN))
+"""Names of the rules, as an epoch's reason gives them; the first: no rule."""
+
+
 def rescored(states: States, epoch_min: float, *, ahead: int = UNKNOWN) -> States:
     """The states (n,) after Webster's rules. `ahead`: what is taken to go on for ever after the last one."""
-    made = states.copy()
+    return np.where(rules_applied(states, epoch_min, ahead=ahead) > 0, np.int8(WAKE), states)
+
+
+def rules_applied(states: States, epoch_min: float, *, ahead: int = UNKNOWN) -> States:
+    """Which of RULES makes wake of each epoch (n,); 0: no rule does. Where several do, the first."""
+    made = np.zeros(len(states), np.int8)
     found = [(state, first, stop, (stop - first) * epoch_min) for state, first, stop in runs(states)]
     if found and ahead:
         state, first, stop, _ = found[-1]
@@ -30,13 +41,11 @@ def rescored(states: States, epoch_min: float, *, ahead: int = UNKNOWN) -> State
         if state != SLEEP or k == 0 or found[k - 1][0] != WAKE:
             continue
         before = found[k - 1][3]
-        for wake, sleep in AFTER:
-            if before >= wake:
-                made[first : min(stop, first + round(sleep / epoch_min))] = WAKE
-        if k + 1 < len(found) and found[k + 1][0] == WAKE:
-            around = min(before, found[k + 1][3])
-            if any(around >= wake and length <= sleep for wake, sleep in BETWEEN):
-                made[first:stop] = WAKE
+        around = min(before, found[k + 1][3]) if k + 1 < len(found) and found[k + 1][0] == WAKE else 0.0
+        reached = [min(stop, first + round(sleep / epoch_min)) if before >= wake else first for wake, sleep in AFTER]
+        reached += [stop if around >= wake and length <= sleep else first for wake, sleep in BETWEEN]
+        for number, end in enumerate(reached, 1):
+            made[first:end][made[first:end] == 0] = number
     return made
 
 

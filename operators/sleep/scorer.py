@@ -33,6 +33,18 @@ EPOCH = np.dtype(
 )
 """One epoch's score; `activity` is what was scored (counts, or motion), NaN where nothing was seen."""
 
+REASONED = np.dtype(
+    [
+        *((name, EPOCH[name]) for name in EPOCH.names or ()),
+        ("cause", "U8"),
+        ("mover", "<i8"),
+        ("weight", "<f8"),
+        ("adds", "<f8"),
+        ("rule", "U14"),
+    ]
+)
+"""An epoch's score with its reason; see `SleepScorer`. Recordings of older versions hold EPOCH."""
+
 
 Rows: TypeAlias = list[tuple[Any, ...]]
 
@@ -65,6 +77,11 @@ class SleepScorer(Operator[ScorerState]):
     score       of the method (thesis, Cole-Kripke, Scripps, Oakley: more is wake; Sadeh: more is sleep); NaN where unknown
     final       false: at once, as if no movement were to follow. True: nothing can change it any more
     rescored    Webster's rules made wake of it
+    cause       movement (the score reaches wake), still (it does not), rescored (`rule`); of unknown ones: unseen, gaps (too much around
+                it was not seen), start (Oakley: too near the first)
+    mover, weight, adds  onset of the epoch whose movement adds most to the score (0: there was no movement), its share of all weight that
+                was seen (Sadeh: NaN, for it weighs no single epoch), and how much of the score it adds
+    rule        of Webster: after 4 (10, 15) min, between 10 (20) min; see operators.sleep.rescoring
 
     Events are stamped with the epoch at which they were decided; a missing epoch is noticed three quarters of an epoch after it should
     have begun.
@@ -143,8 +160,8 @@ class SleepScorer(Operator[ScorerState]):
             "epoch_s": epoch_s,
         }
         unit = spec.units[channel % len(spec.units)]
-        units = ("ns", "ns", "", "", unit, "", "")
-        return {"out": StreamSpec((), EPOCH, units=units, settling_s=spec.settling_s, meta=meta)}
+        units = ("ns", "ns", "", "", unit, "", "", "", "ns", "", "", "")
+        return {"out": StreamSpec((), REASONED, units=units, settling_s=spec.settling_s, meta=meta)}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
@@ -247,4 +264,4 @@ class SleepScorer(Operator[ScorerState]):
     def _chunk(self, made: Rows, stamps: list[int], until: int) -> Chunk:
         s = self.state
         lost, s.lost = s.lost, 0
-        return Chunk(np.array(stamps, np.int64), np.array(made, EPOCH), until, lost)
+        return Chunk(np.array(stamps, np.int64), np.array(made, REASONED), until, lost)

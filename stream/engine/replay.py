@@ -10,6 +10,8 @@ from pathlib import Path
 from time import perf_counter_ns
 from typing import Any
 
+from numpy.lib.recfunctions import repack_fields
+
 from kinegraph.stream.chunk import FOREVER, NS, Chunk, empty
 from kinegraph.stream.engine.flow.edge import Observer, Push
 from kinegraph.stream.engine.flow.promise import Inside
@@ -35,11 +37,11 @@ TOLD_S = 1.0
 class Digest:
     """A hash of a stream's samples, stamps and gap positions that does not depend on how they were cut into chunks."""
 
-    def __init__(self, limit: int | None = None) -> None:
-        """`limit`: only this many samples count."""
+    def __init__(self, limit: int | None = None, fields: tuple[str, ...] = ()) -> None:
+        """`limit`: only this many samples count. `fields`: of events only these, where they have them and more."""
         self._data, self._time, self._gaps = hashlib.blake2b(), hashlib.blake2b(), hashlib.blake2b()
         self.samples = 0
-        self._limit = limit
+        self._limit, self._fields = limit, fields
 
     def add(self, chunk: Chunk) -> None:
         n = len(chunk.time)
@@ -49,7 +51,12 @@ class Digest:
             return
         if chunk.lost:
             self._gaps.update(f"{self.samples}:{chunk.lost};".encode())
-        self._data.update(chunk.data[:n].tobytes())
+        data = chunk.data[:n]
+        if self._fields and set(self._fields) < set(
+            data.dtype.names or ()
+        ):  # recorded before events had all their fields
+            data = repack_fields(data[list(self._fields)])
+        self._data.update(data.tobytes())
         self._time.update(chunk.time[:n].tobytes())
         self.samples += n
 
@@ -240,7 +247,8 @@ class Replay:
         for name, stream in self.recording.streams.items():
             computed = name in self.pipeline.edges and name not in self.substitutes.taken
             if stream.role == "edge" and computed:
-                digests[name] = Digest(stream.samples if stream.until < FOREVER else None)
+                limit = stream.samples if stream.until < FOREVER else None
+                digests[name] = Digest(limit, stream.spec.dtype.names or ())
                 self.pipeline.edges[name].observers.append(digests[name].add)
         return digests
 

@@ -31,10 +31,10 @@ DRAWN = ("report.html", "report.png", "hypnogram.edf")
 VERSION = 1
 COLUMNS = (
     "onset", "end", "state", "provisional", "rescored", "score", "activity", "bed", "moved_s", "seen", "crosstalk", "breaths_per_min",
-    "confidence", "why",
+    "confidence", "cause", "mover", "weight", "adds", "rule", "why",
 )  # fmt: skip
-TEXTS = ("state", "provisional", "bed", "why")
-ADDED = ("why",)
+TEXTS = ("state", "provisional", "bed", "why", "cause", "mover", "rule")
+ADDED = ("why", "cause", "mover", "weight", "adds", "rule")
 """Columns that the logs of older versions lack."""
 NOON_H = 12
 
@@ -145,16 +145,16 @@ def _epochs(folder: Path) -> LoggedEpochs:
     rows = list(csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1])))
     try:
         onset, end = (np.array([nanoseconds(row[name]) for row in rows], np.int64) for name in ("onset", "end"))
-        texts = {name: np.array([_cell(row, name) for row in rows], "U12") for name in TEXTS}
+        texts = {name: np.array([_cell(row, name) for row in rows], np.str_) for name in TEXTS}
         names = [name for name in COLUMNS[2:] if name not in TEXTS]
-        numbers = {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+        numbers = {name: np.array([float(_cell(row, name) or "nan") for row in rows]) for name in names}
     except (KeyError, ValueError, TypeError) as error:
         raise NightError(f"{folder / EPOCHS} is damaged: {error}") from None
     return LoggedEpochs(onset, end, texts, numbers)
 
 
 def _cell(row: dict[str, str], name: str) -> str:
-    """A text of a row; "" where the log is older than the column. Raises KeyError."""
+    """A cell of a row; "" where the log is older than the column. Raises KeyError."""
     return (row.get(name) or "") if name in ADDED else row[name]
 
 

@@ -13,7 +13,7 @@ from kinegraph.devices.reports.night import archive
 from kinegraph.devices.reports.night.archive import Facts, LoggedEpochs, clock, night_zone, zone_of
 from kinegraph.devices.reports.night.edf import write_edf
 from kinegraph.devices.reports.night.numbers import CAVEATS, NO_NUMBERS, ReportRow, begun_after, quality, span, table
-from kinegraph.devices.reports.night.summary import headline, sentence
+from kinegraph.devices.reports.night.summary import headline, sentence, wakings
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import write_complete
@@ -78,6 +78,7 @@ def render(
         rows=rows,
         figures=[row for row in rows if row.name.startswith(HEADLINE)],
         quality=quality(facts, epochs),
+        wakings=wakings(facts, epochs),
         caveats=CAVEATS,
         no_numbers=NO_NUMBERS[facts.closed],
         method=_method(facts),

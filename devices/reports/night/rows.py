@@ -39,10 +39,18 @@ def check(specs: Specs) -> None:
 
 def final(row: Any) -> dict[str, Any]:
     """What a final epoch says."""
-    return {
+    said = {
         "onset": iso(int(row["onset"])), "end": iso(int(row["end"])), "state": str(row["state"]), "rescored": int(row["rescored"]),
         "score": number(row["score"]), "activity": number(row["activity"]),
     }  # fmt: skip
+    return said | reason(row) if "cause" in row.dtype.names else said
+
+
+def reason(row: Any) -> dict[str, Any]:
+    """Why a final epoch has its state."""
+    mover = int(row["mover"])
+    moved = {"mover": iso(mover), "weight": number(row["weight"]), "adds": number(row["adds"])} if mover else {}
+    return {"cause": str(row["cause"]), "rule": str(row["rule"]), **moved}
 
 
 def withdrawn(facts: dict[str, Any]) -> bool:

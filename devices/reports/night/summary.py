@@ -1,11 +1,11 @@
-"""A night in one sentence, for whoever slept; and in a line that fits a phone's notification."""
+"""A night in one sentence, for whoever slept; in a line that fits a phone's notification; and why an epoch has its state."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from kinegraph.devices.reports.night.archive import Facts, LoggedEpochs, clock, night_zone
-from kinegraph.devices.reports.night.numbers import NO_NUMBERS, runs
+from kinegraph.devices.reports.night.archive import Facts, LoggedEpochs, clock, nanoseconds, night_zone
+from kinegraph.devices.reports.night.numbers import NO_NUMBERS, WHY, runs
 from kinegraph.stream.text.time_text import in_hours
 
 COUNTED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
@@ -42,6 +42,74 @@ def headline(facts: Facts) -> str:
     begin, end = (clock(int(n[name]), night_zone(facts)) for name in ("onset", "end"))
     efficient = f", {n['se']:.0f} % of the time" if n["se"] is not None else ""
     return f"Asleep {_long(n['tst'])}{efficient}, {begin:%H:%M} to {end:%H:%M}"
+
+
+WEBSTER = {
+    "after 4 min": "after at least 4 min awake, the first minute of sleep counts as awake",
+    "after 10 min": "after at least 10 min awake, the first 3 min of sleep count as awake",
+    "after 15 min": "after at least 15 min awake, the first 4 min of sleep count as awake",
+    "between 10 min": "sleep of at most 6 min between two times of at least 10 min awake counts as awake",
+    "between 20 min": "sleep of at most 10 min between two times of at least 20 min awake counts as awake",
+}
+"""Webster's rules, by the names that epochs carry."""
+UNKNOWN = {
+    "unseen": "it was not seen",
+    "gaps": "too much around it was not seen",
+    "start": "it is too near the beginning for this method",
+}
+
+
+def reason(facts: Facts, epochs: LoggedEpochs, place: int) -> str:
+    """Why the epoch at `place` has its state, in a sentence; "" where the night's log is older than reasons."""
+    cause, why = (str(epochs.texts[name][place]) for name in ("cause", "why"))
+    if not cause:
+        return ""
+    if cause in UNKNOWN:
+        return f"Not scored: {WHY.get(why, UNKNOWN[cause])}."
+    limit = facts.meta.get("threshold")
+    against = f" ({epochs.numbers['score'][place]:.3g}; wake from {limit:g} on)" if limit is not None else ""
+    if facts.meta.get("method") == "oakley":
+        against = against.replace(" on)", " up)")
+    if cause == "rescored":
+        return f"Awake by Webster's rule: {WEBSTER.get(str(epochs.texts['rule'][place]), '')}. {_moved(facts, epochs, place)}".strip()
+    verdict = (
+        "Awake: the score reaches the threshold"
+        if cause == "movement"
+        else "Asleep: the score stays below the threshold"
+    )
+    return f"{verdict}{against}. {_moved(facts, epochs, place)}"
+
+
+def _moved(facts: Facts, epochs: LoggedEpochs, place: int) -> str:
+    """Which movement adds most to an epoch's score, and how much."""
+    mover = str(epochs.texts["mover"][place])
+    if not mover:
+        return "Nothing moved around it."
+    onset, zone = nanoseconds(mover), night_zone(facts)
+    weight, adds = (float(epochs.numbers[name][place]) for name in ("weight", "adds"))
+    what = f"movement at {clock(onset, zone):%H:%M:%S}"
+    found = np.flatnonzero(epochs.onset == onset)
+    if len(found):
+        if epochs.texts["bed"][found[0]] == "out":
+            what = f"being out of bed at {clock(onset, zone):%H:%M:%S}"
+        elif np.isfinite(moved := epochs.numbers["moved_s"][found[0]]):
+            what += f" ({moved:.3g} s of {facts.epoch_s:g} s)"
+    here = " in this epoch" if onset == epochs.onset[place] else ""
+    weighed = f"its weight is {weight:.3g}, and it adds {adds:.3g}" if np.isfinite(weight) else f"it adds {adds:.3g}"
+    return f"The most comes from {what}{here}: {weighed} to the score."
+
+
+def wakings(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str, str]]:
+    """When somebody was awake in bed, how long, and the reason of the epoch with the highest score there."""
+    if not (epochs.texts["cause"] != "").any():
+        return []
+    zone, told = night_zone(facts), []
+    for first, stop in runs((epochs.texts["state"] == "wake") & (epochs.texts["bed"] != "out")):
+        score = epochs.numbers["score"][first:stop]
+        top = first + int(np.nanargmax(score)) if np.isfinite(score).any() else first
+        span = f"{clock(int(epochs.onset[first]), zone):%H:%M} – {clock(int(epochs.end[stop - 1]), zone):%H:%M}"
+        told.append((span, _long((stop - first) * facts.epoch_s / 60), reason(facts, epochs, top)))
+    return told
 
 
 def _long(minutes: float | None) -> str:

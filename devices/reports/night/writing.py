@@ -24,13 +24,18 @@ log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class OpenNight:
-    """`in_bed`: the onset of the last epoch in which somebody was; `stale`: its facts are not on the disk yet."""
+    """
+    in_bed   the onset of the last epoch in which somebody was
+    stale    its facts are not on the disk yet
+    columns  of its table: fewer where an older version began it
+    """
 
     folder: Path
     facts: Facts
     file: AppendFile
     in_bed: int
     stale: bool = False
+    columns: tuple[str, ...] = COLUMNS
 
     @classmethod
     def begin(cls, folder: Path, facts: Facts) -> OpenNight:
@@ -51,11 +56,12 @@ class OpenNight:
         text = (folder / EPOCHS).read_bytes()
         file = AppendFile(folder / EPOCHS, text.rfind(b"\n") + 1, fresh=False)
         there = epochs.texts["bed"] == "in"
-        return cls(folder, facts, file, int(epochs.onset[there][-1] if there.any() else epochs.onset[-1]))
+        in_bed = int(epochs.onset[there][-1] if there.any() else epochs.onset[-1])
+        return cls(folder, facts, file, in_bed, columns=tuple(text.decode().partition("\n")[0].strip().split(",")))
 
     def write(self, row: dict[str, Any]) -> None:
         """One epoch, past every cache; while the disk is full it waits in memory."""
-        self.file.write((",".join(str(row.get(name, "")) for name in COLUMNS) + "\n").encode())
+        self.file.write((",".join(str(row.get(name, "")) for name in self.columns) + "\n").encode())
         self.file.sync()
         if self.stale:
             self.save()

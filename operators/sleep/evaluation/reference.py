@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinegraph.operators.sleep.scorer import EPOCH
+from kinegraph.operators.sleep.scorer import EPOCH, REASONED
 from kinegraph.stream.chunk import NS, Times
 from kinegraph.stream.data.bounded import reading
 from kinegraph.stream.domain.night import SLEEP, UNKNOWN, WAKE, States
@@ -188,14 +188,14 @@ def _recording(path: Path, stream: str) -> Hypnogram:
     from kinegraph.stream.batch.sessions import open_session
 
     with open_session(path) as opened:
-        found = [name for name, s in opened.streams.items() if s.spec.dtype == EPOCH]
+        found = [name for name, s in opened.streams.items() if s.spec.dtype in (EPOCH, REASONED)]
         if not stream and len(found) != 1:
             raise RecordingError(
                 f"{path}: holds {len(found) or 'no'} streams of scored epochs{': ' + ', '.join(found) if found else ''}; "
                 "record a SleepScorer's output (`record: [scorer]`), or name one with --stream"
             )
         name = stream or found[0]
-        if opened.stream(name).spec.dtype != EPOCH:
+        if opened.stream(name).spec.dtype not in (EPOCH, REASONED):
             raise RecordingError(
                 f"{path}: {name!r} holds no scored epochs; there {'are' if found else 'is'} {', '.join(found) or 'none'}"
             )
