@@ -8,8 +8,7 @@
         def begin(self, spec):
             return SmoothState(share=1 / (self.tau_s * spec.rate_hz), level=np.zeros(spec.shape))
 
-`process` follows from that, and so does the call by which a compiled segment calls the kernel with no Python in between
-(`stream.engine.flow.row`). A kernel's arguments are found by their names: what flows (`FLOW`), then fields of the state, then parameters.
+`process` follows from that. A kernel's arguments are found by their names: what flows (`FLOW`), then fields of the state, then parameters.
 They are looked up once, when the operator is opened.
 
 The gap rule. A gap shows as `chunk.lost != 0`. Its length is the time from the last sample before it to the first one after it, less one
@@ -22,7 +21,7 @@ The rule for bad samples. NaN in gives NaN out and holds the state, channel by c
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, ClassVar, TypeAlias, TypeVar
@@ -42,22 +41,6 @@ Run: TypeAlias = Callable[[Array, Times, Array, Times], None]
 FLOW = ("x", "time", "out", "stamps")
 """What a kernel may be given of a chunk: samples `x` (n, width) and their stamps `time` (n,), and where to write what comes out: samples
 `out` (m, width) and their stamps `stamps` (m,). One that has no `stamps` leaves them as they are."""
-
-
-@dataclass(frozen=True, slots=True)
-class KernelCall:
-    """A kernel and what it is given beside the flow: all that a compiled segment needs of an operator.
-
-    given  by name: arrays that are written in place and never replaced, and numbers that never change
-    rows   given n, how many samples come out of n; None: as many
-    last   (1,) where the newest stamp is noted; None: nowhere
-    """
-
-    kernel: Kernel
-    given: Mapping[str, Any]
-    delay_ns: int
-    rows: Callable[[int], int] | None = None
-    last: Times | None = None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -83,11 +66,13 @@ class FilterState:
 class Bound:
     """What `process` needs, looked up once.
 
+    kernel    what is done
     run       the kernel, to be called with the flow alone
     width     numbers per sample that the kernel takes; `plain`: chunks are rows of these already
     wide      numbers per sample that comes out
     shape     of a sample that comes out, where that is not a row
     last      (1,) where the newest stamp is noted; None: nowhere
+    thins     whether some samples are left out
     moves     whether stamps that come out are others than those that came in
     sparse    whether the rate changes: then a chunk of which nothing comes out says nothing
     unusual   whether chunks need more than the kernel, all of them
@@ -95,14 +80,15 @@ class Bound:
     rest      what the state is at the beginning
     """
 
+    kernel: Kernel
     run: Run
-    call: KernelCall
     width: int
     wide: int
     plain: bool
     dtype: np.dtype[Any]
     shape: tuple[int, ...] | None
     last: Times | None
+    thins: bool
     moves: bool
     unusual: bool
     sparse: bool
@@ -153,20 +139,25 @@ class SampleWise(Operator[S]):
         self.set_state(state, delay_s=getattr(state, "delay_s", 0.0))
         settling_s = spec.settling_s + getattr(state, "settling_s", 0.0)
         out = self.gives(spec.derive(dtype=dtype, settling_s=settling_s))
-        run, call = self._bind(kernel)
+        thins = type(self).rows is not SampleWise.rows
+        if thins and "stamps" not in arguments(kernel):
+            raise KinegraphError(
+                f"{type(self).__name__} leaves samples out (`rows`), so its kernel must be given `stamps`"
+            )
         wide = width_of(out)
         plain, flat = len(spec.shape) == 1 and spec.dtype == dtype, len(out.shape) == 1
         bound = Bound(
-            run=run,
-            call=call,
+            kernel=kernel,
+            run=self._bind(kernel),
             width=width_of(spec),
             wide=wide,
             plain=plain,
             dtype=dtype,
             shape=None if flat else out.shape,
-            last=call.last,
+            last=getattr(state, "last", None),
+            thins=thins,
             moves="stamps" in arguments(kernel),
-            unusual=not plain or not flat or call.rows is not None,
+            unusual=not plain or not flat or thins,
             sparse=out.rate_hz != spec.rate_hz,
             period_ns=spec.period_ns,
             limit_ns=round(getattr(self, "reset_gap_s", 0.0) * NS),
@@ -177,18 +168,11 @@ class SampleWise(Operator[S]):
         object.__setattr__(self, "bound", bound)
         return {"out": out}
 
-    def _bind(self, kernel: Kernel) -> tuple[Run, KernelCall]:
-        """The kernel with everything but the flow given, for Python and for a compiled segment."""
+    def _bind(self, kernel: Kernel) -> Run:
+        """The kernel with everything but the flow given."""
         given = {name: self._given(kernel, name) for name in arguments(kernel) if name not in FLOW}
-        thins = type(self).rows is not SampleWise.rows
-        if thins and "stamps" not in arguments(kernel):
-            raise KinegraphError(
-                f"{type(self).__name__} leaves samples out (`rows`), so its kernel must be given `stamps`"
-            )
-        last = getattr(self.state, "last", None)
         call = f"lambda {', '.join(FLOW)}: kernel({', '.join(arguments(kernel))})"
-        bare = KernelCall(kernel, given, round(self.delay_s * NS), self.rows if thins else None, last)
-        return eval(call, {"kernel": kernel, **given}), bare
+        return eval(call, {"kernel": kernel, **given})  # type: ignore[no-any-return]
 
     def _given(self, kernel: Kernel, name: str) -> Any:
         for owner in (self.state, self):
@@ -200,14 +184,10 @@ class SampleWise(Operator[S]):
             f" {nearest(name, known)}"
         )
 
-    def kernel_call(self) -> KernelCall | None:
-        """What a compiled segment needs; None where it could not do all that `process` does."""
-        return self.bound.call if self.bound.sparse or not self.bound.call.rows else None
-
     def restore(self, arrays: dict[str, Array]) -> None:
         super().restore(arrays)
-        run, call = self._bind(self.bound.call.kernel)
-        object.__setattr__(self, "bound", replace(self.bound, run=run, call=call, last=call.last))
+        last = getattr(self.state, "last", None)
+        object.__setattr__(self, "bound", replace(self.bound, run=self._bind(self.bound.kernel), last=last))
 
     def process(self, port: str, chunk: Chunk) -> Chunk | None:
         bound, time = self.bound, chunk.time
@@ -232,7 +212,7 @@ class SampleWise(Operator[S]):
         x = chunk.data
         if x.ndim != 2 or x.dtype != bound.dtype:
             x = np.ascontiguousarray(x, bound.dtype).reshape(n, bound.width)
-        m = n if bound.call.rows is None else bound.call.rows(n)
+        m = self.rows(n) if bound.thins else n
         if not m:
             out, stamps = bound.nothing
         else:

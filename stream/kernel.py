@@ -9,13 +9,10 @@ kernels that it can change; folders that were not used for a month are removed.
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import os
 import shutil
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
@@ -27,7 +24,7 @@ from numba.core import caching
 
 from kinegraph.stream.compiler.fingerprint import fingerprint
 from kinegraph.stream.errors import KinegraphError
-from kinegraph.stream.system.atomic_file import complete, private_folder
+from kinegraph.stream.system.atomic_file import private_folder
 from kinegraph.stream.system.file_permissions import refuse_shared
 
 FunctionCache: Any = caching.FunctionCache
@@ -126,51 +123,6 @@ def _load_numba() -> None:
         import numba.np.arraymath  # noqa: F401
     finally:
         linalg.ensure_blas = asks
-
-
-def is_kernel(candidate: object) -> bool:
-    """Whether it is a kernel that other compiled code can call by its name, and that keeps the interpreter's lock."""
-    if not isinstance(candidate, numba.core.dispatcher.Dispatcher) or candidate.targetoptions.get("nogil"):
-        return False
-    return getattr(sys.modules.get(candidate.__module__), candidate.py_func.__name__, None) is candidate
-
-
-def compile_written(name: str, signature: str, source: str, kernels: Sequence[Callable[..., Any]]) -> Any:
-    """Compile the function `name` of a source that calls these kernels as step0, step1, ...; source and code are kept for the next time."""
-    imports = "".join(f"from {k.__module__} import {k.__name__} as step{i}\n" for i, k in enumerate(kernels))
-    module_name = f"kinegraph_row_{hashlib.sha256((imports + source).encode()).hexdigest()[:20]}"
-    module = sys.modules.get(module_name)
-    if module is None:
-        path = _written_down(f"{module_name}.py", imports + source)
-        spec = importlib.util.spec_from_file_location(module_name, path)
-        assert spec and spec.loader
-        module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
-        try:
-            spec.loader.exec_module(module)
-            compiled: Any = _compile(getattr(module, name), nogil=False)
-            compiled.compile(signature)
-            compiled.disable_compile()
-            setattr(module, name, compiled)
-        except BaseException:
-            del sys.modules[module_name]
-            raise
-    return getattr(module, name)
-
-
-def _written_down(name: str, source: str) -> Path:
-    """The file in the cache that holds this source."""
-    folder = cache_folder() / "rows"
-    path = folder / name
-    try:
-        refuse_shared(private_folder(folder), "a folder of compiled kernels")
-        if not path.exists():
-            with complete(path, shared=True) as draft:
-                draft.write_text(source, encoding="utf-8")
-    except OSError as error:
-        raise KinegraphError(
-            f"compiled kernels cannot be kept in {folder}: {error.strerror}; free some space there"
-        ) from None
-    return path
 
 
 @cache

@@ -22,7 +22,6 @@ from kinegraph.stream.engine.flow.admission import soundness
 from kinegraph.stream.engine.flow.edge import CallSlot
 from kinegraph.stream.engine.flow.merge import Merge
 from kinegraph.stream.engine.flow.metrics import Timing
-from kinegraph.stream.engine.flow.row import step_of
 from kinegraph.stream.engine.pipeline import Pipeline, Stage
 from kinegraph.stream.errors import (
     GraphError,
@@ -144,11 +143,6 @@ def _try(graph: Graph, node: Node, operator: Operator[Any], specs: Specs, promis
     for port, piece in [*pieces, *((port, empty(spec, horizon)) for port, spec in specs.items())]:
         for name, merged in merge.push(port, piece):
             check_promises(node, promised, _process(operator, name, take(name, merged)))
-    if len(specs) == len(promised) == 1:
-        try:
-            step_of(operator, *specs.values(), *promised.values())
-        except KinegraphError as error:
-            raise GraphError(str(error), path=node.file or graph.path, line=node.line, node=node.name) from error
 
 
 def _process(operator: Operator[Any], port: str, chunk: Chunk) -> Emitted:

@@ -13,7 +13,7 @@ import numpy as np
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.laws.case_samples import Draw, Tapes, repeat, span, tapes_of, with_faults
 from kinegraph.stream.laws.chunking import Delivery, anyhow, describe, steps, whole
-from kinegraph.stream.laws.play import Player, Stepping, differ, row_of
+from kinegraph.stream.laws.play import Player, differ
 from kinegraph.stream.laws.violations import RULES, Broken
 from kinegraph.stream.laws.watch import compiling
 from kinegraph.stream.operator import Case, Operator
@@ -38,7 +38,6 @@ class Conformance:
         self.reference = self.play(whole(self.tapes))
         self._enough()
         self.operator: Operator[Any] = self.reference.operator
-        row_of(self.operator, self.reference.specs, {name: o.spec for name, o in self.reference.outputs.items()})
         limits = [v for name, v in _parameters(case.operator).items() if name.endswith("gap_s") and v is not None]
         self.limit_s = float(max([1.0, *limits]))
 
@@ -54,9 +53,9 @@ class Conformance:
         if count < least:
             raise Broken("cases", f"{count} samples came out, the case promises at least {least}")
 
-    def player(self, kind: type[Player] = Player) -> Player:
+    def player(self) -> Player:
         """A fresh instance under watch."""
-        return kind(self.case, _jitter_ns(self.tapes), frozenset(self.excused))
+        return Player(self.case, _jitter_ns(self.tapes), frozenset(self.excused))
 
     def play(self, delivery: Delivery, tapes: Tapes | None = None) -> Player:
         """A run from the beginning to the end; afterwards the inputs must be as they were."""
@@ -80,7 +79,7 @@ class Conformance:
             raise Broken("compile", f"met for the first time: {'; '.join(kernels)}", how)
 
     def attempt(self, draw: Draw) -> None:
-        """Laws 1 to 3: faults and a cutting drawn by chance, once straight through, and through snapshots, by steps too."""
+        """Laws 1 to 3: faults and a cutting drawn by chance, once straight through, and through snapshots."""
         tapes, faults = with_faults(draw, self.tapes, self.limit_s)
         delivery = anyhow(draw, tapes)
         places = {draw(0, len(delivery) - 1) for _ in range(draw(1, 3))}
@@ -95,14 +94,9 @@ class Conformance:
             resumed = self._play_with_snapshots(delivery, places, by_file)
             if difference := differ(straight, resumed):
                 raise Broken("state", difference)
-            stepping = self._play_with_snapshots(delivery, places, by_file, Stepping)
-            if difference := differ(straight, stepping) or resumed.unlike(stepping):
-                raise Broken("step", difference)
 
-    def _play_with_snapshots(
-        self, delivery: Delivery, places: set[int], by_file: bool, kind: type[Player] = Player
-    ) -> Player:
-        player = self.player(kind)
+    def _play_with_snapshots(self, delivery: Delivery, places: set[int], by_file: bool) -> Player:
+        player = self.player()
         for k, (port, chunk) in enumerate(delivery):
             if k in places:
                 player.hand_over(by_file=by_file)

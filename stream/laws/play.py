@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from kinegraph.stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, StreamSpec, add_lost, utc
+from kinegraph.stream.chunk import NEVER, Array, Chunk, Specs, StreamSpec, add_lost, utc
 from kinegraph.stream.data.rows import taking
 from kinegraph.stream.engine.flow.merge import Merge
-from kinegraph.stream.engine.flow.row import Row, step_of
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.laws.chunking import Delivery
 from kinegraph.stream.laws.violations import Broken
@@ -146,18 +145,6 @@ class Player:
                 raise Broken("state", f"snapshot()[{name!r}] is not a plain array: {array!r:.80}")
         return arrays
 
-    def unlike(self, other: Player) -> str:
-        """The first part of the state in which another run ended differently; "" if none."""
-        mine, others = self._snapshot(), other._snapshot()
-        return next(
-            (
-                f"the state's {name!r} ends differently"
-                for name in mine
-                if mine[name].tobytes() != others[name].tobytes()
-            ),
-            "",
-        )
-
     @property
     def state_bytes(self) -> int:
         return sum(array.nbytes for array in self._snapshot().values())
@@ -238,29 +225,6 @@ class Player:
             output.last = int(time[-1])
             if self._singly and not at_close:
                 output.lag_ns = max(output.lag_ns, self.newest - int(time[0]))
-
-
-class Stepping(Player):
-    """A run in which the operator's step, where it has one, does whatever it may, as in a chain of operators."""
-
-    def _open(self) -> tuple[Operator[Any], Specs]:
-        operator, outputs = super()._open()
-        self._row = row_of(operator, self.specs, outputs)
-        return operator, outputs
-
-    def _process(self, port: str, chunk: Chunk) -> Emitted:
-        if self._row is None or not len(chunk) or chunk.lost or chunk.until == FOREVER:
-            return super()._process(port, chunk)
-        return self._row.through(chunk)
-
-
-def row_of(operator: Operator[Any], taken: Specs, given: Specs) -> Row | None:
-    """An operator's step by itself."""
-    if len(taken) > 1 or not given:
-        return None
-    (spec,), out = taken.values(), next(iter(given.values()))
-    step = step_of(operator, spec, out)
-    return Row([step], out.shape) if step else None
 
 
 def through_file(arrays: dict[str, Array]) -> dict[str, Array]:

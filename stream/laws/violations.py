@@ -42,11 +42,6 @@ RULES: dict[str, Rule] = {
         "the same input gives the same output, chunk for chunk",
         "read no clock, draw no unseeded random numbers, keep nothing in the class or the module",
     ),
-    "step": Rule(
-        2,
-        "its step, where it names one, gives what `process` gives, and leaves the same state",
-        "let the kernel do all that `process` does to a chunk without gaps; write the state's arrays in place and never put others there",
-    ),
     "state": Rule(
         3,
         "a new instance that takes over a snapshot goes on as if nothing had happened",

@@ -10,7 +10,6 @@ import numpy as np
 
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs
 from kinegraph.stream.chunk import StreamSpec as Spec
-from kinegraph.stream.filter import SampleWise
 from kinegraph.stream.kernel import kernel
 from kinegraph.stream.operator import Case, Emitted, Operator, grid
 from kinegraph.stream.params import param
@@ -167,38 +166,6 @@ class Impure(Smooth):
 
 
 _secret: dict[int, float] = {}
-
-
-@kernel
-def doubled_but_once(x: Samples, times: Samples, out: Samples) -> None:
-    """Twice `x`; the first time it is called, once."""
-    for i in range(x.shape[0]):
-        for c in range(x.shape[1]):
-            out[i, c] = x[i, c] * times[0]
-    times[0] = 2.0
-
-
-@dataclass(slots=True)
-class TimesState:
-    times: Samples
-
-
-@dataclass(frozen=True, slots=True)
-class StepsElsewhere(SampleWise[TimesState]):
-    """breaks: step"""
-
-    kernel = doubled_but_once
-
-    def begin(self, spec: Spec) -> TimesState:
-        return TimesState(np.ones(1))
-
-    @classmethod
-    def cases(cls) -> Sequence[Case]:
-        return [Case(cls(), case.inputs) for case in Smooth.cases()]
-
-    def process(self, port: str, chunk: Chunk) -> Chunk:
-        data = np.where(np.isfinite(chunk.data), chunk.data * 2.0, np.nan)
-        return Chunk(chunk.time, data, chunk.until, chunk.lost)
 
 
 @dataclass(frozen=True, slots=True)

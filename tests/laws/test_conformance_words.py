@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.operators.filters.rectify import Rectify
-from kinegraph.operators.timing.pause import Pause
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.laws.case_samples import CaseSamples, _missing
 from kinegraph.stream.laws.chunking import describe
-from kinegraph.stream.laws.play import row_of
 
 
 def pieces(sizes: list[int], lost: int = 0) -> list[tuple[str, Chunk]]:
@@ -40,9 +37,3 @@ def test_a_regular_stream_that_starts_again_lacks_the_samples_between(later_s: f
     tape = CaseSamples(StreamSpec((1,), rate_hz=100.0), time, np.zeros((100, 1)), np.zeros(100, np.int64))
     assert _missing(tape, round(later_s * NS)) == lacking
     assert _missing(CaseSamples(StreamSpec((1,)), time, tape.data, tape.lost), round(later_s * NS)) == 0
-
-
-def test_only_an_operator_with_one_input_and_an_output_is_tried_as_a_step() -> None:
-    spec = StreamSpec((1,), rate_hz=100.0)
-    assert row_of(Pause(), {"in": spec, "switch": spec}, {"out": spec}) is None
-    assert row_of(Rectify(), {"in": spec}, {}) is None

@@ -1,4 +1,4 @@
-"""Arrays that come out of compiled rows, given to an operator from outside: it cannot write to them, and may do with them what it will."""
+"""Arrays given to an operator from outside: it cannot write to them, and may keep them and give them back."""
 
 from __future__ import annotations
 
@@ -9,28 +9,25 @@ import parts
 import pytest
 
 from kinegraph.stream.chunk import Array, Chunk
-from kinegraph.stream.engine.flow import row
 from kinegraph.stream.engine.pipeline import Pipeline
 from kinegraph.stream.errors import RunError
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.operator import Emitted
 from kinegraph.stream.params import param
 
-pytestmark = pytest.mark.skipif(not row.POSSIBLE, reason="this system has no rows")
-
 GRAPH = """
 nodes:
   board: {use: devices.people.treadmill.Treadmill, realtime: false}
   rectify: {use: operators.filters.rectify.Rectify, from: board.emg}
   lowpass: {use: operators.filters.iir.Lowpass, from: rectify, cutoff_hz: 20}
-  guest: {use: tests.engine.test_lent_arrays.Guest, from: lowpass, how: %s}
+  guest: {use: tests.engine.test_outside_operators.Guest, from: lowpass, how: %s}
   mean: {use: operators.filters.moving.MovingMean, from: guest, window_s: 0.05}
   scale: {use: operators.filters.scale.Scale, from: mean, gain: 0.5}
 """
 DIRECT = """
 nodes:
   board: {use: devices.people.treadmill.Treadmill, realtime: false}
-  guest: {use: tests.engine.test_lent_arrays.Guest, from: board.emg}
+  guest: {use: tests.engine.test_outside_operators.Guest, from: board.emg}
 """
 START = 10**18
 kept: list[Chunk] = []
@@ -59,14 +56,12 @@ class Guest(parts.Identity):
         return given.get(self.how, chunk)
 
 
-def answers(how: str, monkeypatch: pytest.MonkeyPatch, *, rows: bool) -> tuple[Array, Array]:
-    monkeypatch.setattr(row, "POSSIBLE", rows)
+def answers(how: str, *, written: bool) -> tuple[Array, Array]:
     made = Pipeline(load_text(GRAPH % how, path=__file__))
     out: list[Chunk] = []
     made.edges["scale"].observers.append(out.append)
-    made.compile()
-    spans = [span for segment in made.segments for span in segment.spans if span.row]
-    assert len(spans) == (2 if rows else 0)
+    if written:
+        made.compile()
     kept.clear()
     random = np.random.default_rng(3)
     for i in range(60):
@@ -77,12 +72,10 @@ def answers(how: str, monkeypatch: pytest.MonkeyPatch, *, rows: bool) -> tuple[A
 
 
 @pytest.mark.parametrize("how", ["the chunk", "its arrays", "its samples", "its stamps", "a list"])
-def test_an_operator_from_outside_may_keep_what_it_is_given_and_give_it_on(
-    how: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain = answers(how, monkeypatch, rows=False)
+def test_an_operator_from_outside_may_keep_what_it_is_given_and_give_it_on(how: str) -> None:
+    plain = answers(how, written=False)
     taken = [(chunk.time.copy(), chunk.data.copy()) for chunk in kept]
-    lent = answers(how, monkeypatch, rows=True)
+    lent = answers(how, written=True)
     assert all(np.array_equal(one, other) for one, other in zip(plain, lent, strict=True))
     assert not any(chunk.time.flags.writeable or chunk.data.flags.writeable for chunk in kept)
     for (time, data), chunk in zip(taken, kept, strict=True):
@@ -90,18 +83,14 @@ def test_an_operator_from_outside_may_keep_what_it_is_given_and_give_it_on(
 
 
 @pytest.mark.parametrize("how", ["writes", "writes later"])
-@pytest.mark.parametrize("rows", [False, True])
-def test_it_cannot_write_to_it_now_or_later(how: str, rows: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("written", [False, True])
+def test_it_cannot_write_to_it_now_or_later(how: str, written: bool) -> None:
     with pytest.raises(RunError, match=r"node 'guest': .* is read-only"):
-        answers(how, monkeypatch, rows=rows)
+        answers(how, written=written)
     assert len(kept) == 30
 
 
-@pytest.mark.parametrize("rows", [True, False])
-def test_stamps_that_come_in_steps_are_put_together_before_the_first_operator(
-    rows: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(row, "POSSIBLE", rows)
+def test_stamps_that_come_in_steps_are_put_together_before_the_first_operator() -> None:
     made = Pipeline(load_text(DIRECT, path=__file__))
     made.compile()
     kept.clear()
