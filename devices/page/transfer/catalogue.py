@@ -81,7 +81,7 @@ def offered(graph: Graph, *, outside: bool) -> dict[str, StreamSpec]:
             edge = Edge(node.name, output)
             kept = edge in graph.record
             hidden = _is_image(spec) and not kept and (outside or not graph.page.unrecorded_pictures)
-            if kind_of(spec) and not hidden and (kept or not _within_a_row(graph, edge)):
+            if kind_of(spec) and not hidden and (kept or not _between_filters(graph, edge)):
                 found[str(edge)] = spec
     return found
 
@@ -91,7 +91,7 @@ def _is_image(spec: StreamSpec) -> bool:
     return is_picture(spec) or kind_of(spec) == "frame"
 
 
-def _within_a_row(graph: Graph, edge: Edge) -> bool:
+def _between_filters(graph: Graph, edge: Edge) -> bool:
     readers = graph.readers(edge)
     one = len(readers) == 1 and isinstance(readers[0][0].part, SampleWise)
     return one and isinstance(graph.nodes[edge.node].part, SampleWise) and str(edge) not in graph.page.streams

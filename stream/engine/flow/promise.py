@@ -2,7 +2,7 @@
 
 Shape, dtype and watermark of every new chunk are checked while a graph runs, where a chunk enters an edge; the ends of its stamps where
 the recorder or an outlet reads the edge, or an operator from outside our packages feeds it. What is common is checked in the code of
-chains (`stream.engine.flow.segment`) and rows; whatever fails there comes here to be named. Stamps within a chunk are looked at by the
+segments (`stream.engine.flow.segment`); whatever fails there comes here to be named. Stamps within a chunk are looked at by the
 laws, and by a replay that is asked to.
 """
 
