@@ -99,6 +99,12 @@ class RunError(KinegraphError):
     exit_code = 4
 
 
+class DeclarationError(RunError):
+    """A device that is not as its node declares it (its rate, its unit of time, its counter): it ends the session at its start."""
+
+    exit_code = DeviceError.exit_code
+
+
 class MemoryExceeded(RunError):
     """A session that took more memory than it may: it was ended before the system does that, with its recording closed."""
 

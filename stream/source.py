@@ -87,6 +87,8 @@ class Source:
     outputs: ClassVar[tuple[str, ...]] = ("out",)
     background: ClassVar[bool] = False
     """Whether a session may start and end without this source (a person's annotations)."""
+    may_appear: ClassVar[bool] = False
+    """Whether what is `missing` before a session may well come by itself (a stream of another program): it is named and waited for."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -118,6 +120,14 @@ class Source:
         While it is not there, a source that failed is not opened; it is as soon as it is there again.
         """
         return None
+
+    def missing(self) -> str:
+        """What this source opens and cannot find, with the nearest: "serial port /dev/ttyUSB0 does not exist; did you mean ...?".
+
+        "": it is there, or only opening it can tell. Asked before a session compiles; opens nothing, and takes two seconds at most.
+        Raises DeviceError where a library is missing.
+        """
+        return ""
 
     def read(self, feed: Feed) -> None:
         """Open, read and emit until `feed.stopped`, close. Runs in its own thread."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
@@ -83,16 +83,24 @@ class Orbbec(DepthCamera):
             with suppress(RuntimeError, sdk.OBError):
                 pipeline.stop()
 
+    def missing(self) -> str:
+        return "" if self.recording else self._missing(cameras(library()))
+
+    def _missing(self, here: Sequence[Mapping[str, str]]) -> str:
+        if any(self.device in ("", one["serial"]) for one in here):
+            return ""
+        known = ", ".join(f"{one['name']} {one['serial']}" for one in here) or "none at all"
+        return f"no Orbbec camera {self.device or 'is connected'}; there are {known}"
+
     def _pipeline(self, sdk: Any) -> Any:
         if self.recording:
             if not self.recording.exists():
                 raise DeviceError(f"{self.recording} does not exist")
             return sdk.Pipeline(sdk.PlaybackDevice(str(self.recording)))
         here = cameras(sdk)
+        if not_there := self._missing(here):
+            raise DeviceError(not_there)
         chosen = [i for i, one in enumerate(here) if self.device in ("", one["serial"])]
-        if not chosen:
-            known = ", ".join(f"{one['name']} {one['serial']}" for one in here) or "none at all"
-            raise DeviceError(f"no Orbbec camera {self.device or 'is connected'}; there are {known}")
         return sdk.Pipeline(sdk.Context().query_devices().get_device_by_index(chosen[0]))
 
     def _config(self, sdk: Any, pipeline: Any) -> Any:

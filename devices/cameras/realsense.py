@@ -47,6 +47,15 @@ class RealSense(DepthCamera):
         DepthCamera.prepare(self)
         library()
 
+    def missing(self) -> str:
+        if self.recording:
+            return ""
+        rs = library()
+        here = [device.get_info(rs.camera_info.serial_number) for device in rs.context().query_devices()]
+        if self.device in here or (here and not self.device):
+            return ""
+        return f"no RealSense camera {self.device or 'is connected'}; there are {', '.join(here) or 'none at all'}"
+
     @contextmanager
     def opened(self) -> Iterator[OpenCamera]:
         rs = library()

@@ -7,7 +7,7 @@ from collections import Counter as Tally
 import numpy as np
 
 from kinegraph.stream.chunk import NS, Array
-from kinegraph.stream.errors import RunError
+from kinegraph.stream.errors import DeclarationError
 from kinegraph.stream.source import Feed
 
 FROM_S, TO_S = 2.0, 10.0
@@ -32,7 +32,7 @@ class CounterCheck:
         self._over = False
 
     def see(self, counters: Array, arrival_ns: int, feed: Feed) -> None:
-        """Records with these counters (n,), n > 0, have come now. Raises RunError."""
+        """Records with these counters (n,), n > 0, have come now. Raises DeclarationError."""
         if self._over:
             return
         self._from = self._from or arrival_ns
@@ -48,7 +48,7 @@ class CounterCheck:
         if text := self._wrong():
             self._over = True
             if not feed.again:
-                raise RunError(f"{self._device} is not as declared: {text}")
+                raise DeclarationError(f"{self._device} is not as declared: {text}")
             feed.problem("counter mismatch")
             feed.tell("counter mismatch", text=text)
         elif passed > TO_S * NS:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinegraph.devices.clocks.device_time import STILL_NS, STILL_STEPS
 from kinegraph.devices.clocks.mismatch_text import of_rate, of_turn, of_unit
 from kinegraph.stream.chunk import NS, Samples, Times
-from kinegraph.stream.errors import RunError
+from kinegraph.stream.errors import DeclarationError
 from kinegraph.stream.source import Feed
 
 Policy = Literal["fail", "warn"]
@@ -77,7 +77,7 @@ class RateCheck:
     def see(self, n: int, lost: int, arrival_ns: int, feed: Feed, device_ns: Times | None = None) -> float | None:
         """`n` > 0 records have come now, before and between which `lost` are missing; with them the device's own times (n,), not unwrapped.
 
-        Returns the true rate where it has been found to be another one. Raises RunError.
+        Returns the true rate where it has been found to be another one. Raises DeclarationError.
         """
         if arrival_ns < self._from or not (self._rate or device_ns is not None):
             return None
@@ -133,10 +133,12 @@ class RateCheck:
         return (stood, max(STILL_NS, STILL_STEPS * usual)) if stood > 2 * usual else (0, 0)
 
     def _tell_of_standing(self, after_s: float, feed: Feed) -> None:
-        """Its stamps are the arrivals' from here on; at the start that is no way to begin. Raises RunError."""
+        """Its stamps are the arrivals' from here on; at the start that is no way to begin. Raises DeclarationError."""
         text = f"its time stands still at {self._last} ns from {after_s:.1f} s on: has the device's clock stopped?"
         if self._first and self._policy == "fail" and not feed.again:
-            raise RunError(f"{self._device} is not as declared: {text}; `rate_mismatch: warn` goes on by the arrivals")
+            raise DeclarationError(
+                f"{self._device} is not as declared: {text}; `rate_mismatch: warn` goes on by the arrivals"
+            )
         self._first = False
         if not self._stood:
             self._stood = True
@@ -212,7 +214,7 @@ class RateCheck:
     def _tell(self, hz: float, text: str, at_start: bool, feed: Feed) -> float | None:
         if at_start and (self._policy == "fail" or not hz):
             more = "; `rate_mismatch: warn` goes on by the true rate" if hz else ""
-            raise RunError(f"{self._device} is not as declared: {text}{more}")
+            raise DeclarationError(f"{self._device} is not as declared: {text}{more}")
         feed.problem("rate mismatch")
         if not hz or abs(hz / self._told - 1) > TOLD_AGAIN:
             feed.tell("rate mismatch", measured_hz=round(hz, 2), declared_hz=self._rate or 0.0, text=text)

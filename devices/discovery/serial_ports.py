@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kinegraph.devices.discovery.finders import FoundDevice
+from kinegraph.devices.transport.transport import connected_ports
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,15 +59,11 @@ def lasting_name(device: str) -> str:
 
 def find() -> Iterator[FoundDevice]:
     """Every serial port that is a real one or says what it is."""
-    from serial.tools.list_ports import comports
-
-    for port in sorted(comports()):
+    for port in connected_ports():
         if port.device.startswith("/dev/rfcomm"):
             yield FoundDevice(
                 "serial", port.device, BLUETOOTH.what, BLUETOOTH.yaml.format(port=port.device), _note(port.device)
             )
-            continue
-        if port.vid is None and port.description in (None, "", "n/a", port.name):
             continue
         name = lasting_name(port.device)
         known = KNOWN.get((port.vid or 0, port.pid)) or KNOWN.get((port.vid or 0, None))

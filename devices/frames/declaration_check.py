@@ -11,7 +11,7 @@ from kinegraph.devices.frames.checksum_fit import fitting
 from kinegraph.devices.frames.decoder import SPOILT, FrameDecoder
 from kinegraph.devices.frames.layout import FrameLayout
 from kinegraph.devices.transport.handshake import shown
-from kinegraph.stream.errors import DeviceError, RunError
+from kinegraph.stream.errors import DeclarationError, DeviceError
 from kinegraph.stream.source import Feed
 
 FIRST_FRAME_S = 5.0
@@ -66,7 +66,7 @@ class DeclarationCheck:
     def judge(self, good: int, bad: int, spoilt: Iterable[tuple[int, bytes]], feed: Feed) -> None:
         """A device nearly all of whose first frames have a wrong checksum is another one: those that seem right are so by chance.
 
-        Raises RunError, DeviceError.
+        Raises DeclarationError, DeviceError.
         """
         self._spoilt.extend(spoilt)
         self._good, self._bad = self._good + good, self._bad + bad
@@ -78,7 +78,7 @@ class DeclarationCheck:
             + _fits(self._spoilt, self._layouts)
             + self._hint
         )
-        raise DeviceError(text) if feed.again else RunError(text)
+        raise DeviceError(text) if feed.again else DeclarationError(text)
 
 
 def _fits(spoilt: Iterable[tuple[int, bytes]], layouts: Sequence[FrameLayout]) -> str:

@@ -7,13 +7,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.errors import DeviceError, nearest
 
 STEP_S = 0.02
 SETTLE_S = 0.75
 """How long a second stream that also fits may take to answer: LSL asks one address after the other from half a second on."""
 LISTED_S = 1.0
 """How long streams may take to answer when all there are get listed."""
+PROBE_S = 1.5
+"""How long a stream may take to answer before a session compiles anything."""
 
 Wait = Callable[[float], bool]
 """Sleeps for the given seconds, or less where it must stop; returns whether it must."""
@@ -36,6 +38,11 @@ class Wanted:
         """The same in XPath, which LSL asks its network with."""
         names = {"host": "hostname"}
         return " and ".join(f"{names.get(key, key)}={_quoted(value)}" for key, value in self._facts().items())
+
+    def fits(self, info: Any) -> bool:
+        """Whether this is what a stream says of itself."""
+        said = {"name": info.name(), "type": info.type(), "source_id": info.source_id(), "host": info.hostname()}
+        return all(said[key] == value for key, value in self._facts().items())
 
     def _facts(self) -> dict[str, str]:
         facts = {"name": self.name, "type": self.type, "source_id": self.source_id, "host": self.host}
@@ -67,6 +74,18 @@ def find(lsl: Any, wanted: Wanted, within_s: float, wait: Wait) -> Any:
     return max(found, key=lambda info: info.created_at())
 
 
+def missing(lsl: Any, wanted: Wanted) -> str:
+    """What to say of a stream that does not answer, with the nearest of those that do; "" where it does."""
+    resolver = lsl.ContinuousResolver()
+    deadline = time.monotonic() + PROBE_S
+    while not any(map(wanted.fits, found := resolver.results())):
+        if time.monotonic() > deadline:
+            hint = f"{nearest(wanted.name, {info.name() for info in found})} " if found and wanted.name else ""
+            return f"no LSL stream with {wanted}; {hint}{_those(found)}"
+        time.sleep(STEP_S)
+    return ""
+
+
 def is_there(lsl: Any, wanted: Wanted, within_s: float, wait: Wait) -> bool:
     """Whether a stream that fits answers."""
     resolver = lsl.ContinuousResolver(pred=wanted.predicate)
@@ -83,11 +102,13 @@ def everything(lsl: Any, within_s: float = LISTED_S) -> list[Any]:
 
 
 def _absent(lsl: Any, wanted: Wanted, within_s: float) -> str:
-    others = everything(lsl)
-    there = (
-        f"there are {_listed(others)}" if others else "there is none at all; is its program running, on this network?"
-    )
-    return f"no LSL stream with {wanted} within {within_s:g} s; {there}"
+    return f"no LSL stream with {wanted} within {within_s:g} s; {_those(everything(lsl))}"
+
+
+def _those(infos: Sequence[Any]) -> str:
+    if not infos:
+        return "there is none at all; is its program running, on this network?"
+    return f"there are {_listed(infos)}"
 
 
 def _listed(infos: Sequence[Any], most: int = 8) -> str:

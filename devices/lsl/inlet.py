@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 from kinegraph.devices.clocks.timing import timing_spec
 from kinegraph.devices.lsl.connection import Connection, opened
-from kinegraph.devices.lsl.find import Wanted, find
+from kinegraph.devices.lsl.find import Wanted, find, missing
 from kinegraph.devices.lsl.metadata import TEXT, describe, differences, marker_spec, signal_spec
 from kinegraph.devices.lsl.network import ANY, Network, library
 from kinegraph.devices.lsl.pull import Pull
@@ -44,6 +44,7 @@ class LslInlet(_Probing):
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
+    may_appear: ClassVar[bool] = True
 
     name: str = param("", help="the stream's name")
     type: str = param("", help="its content type: EMG, EEG, Markers, ...")
@@ -75,6 +76,9 @@ class LslInlet(_Probing):
         if hasattr(self, "probed"):
             object.__setattr__(made, "probed", self.probed)
         return made
+
+    def missing(self) -> str:
+        return missing(library(self.network), self._wanted)
 
     def read(self, feed: Feed) -> None:
         lsl = library(self.network)

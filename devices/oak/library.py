@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import timedelta
 from typing import Any
 
@@ -51,19 +51,24 @@ def permission() -> str:
     return f"permission denied; {rule(UsbAddress(VENDOR, None))}"
 
 
+def missing(seen: Sequence[Any], device: str) -> str:
+    """What to say of a camera that is not among those that can be seen; "" where it is."""
+    if not seen and not device:
+        return NONE
+    if not device or any(device in (i.deviceId, i.name) for i in seen):
+        return ""
+    there = ", ".join(i.deviceId or i.name for i in seen) or "none at all"
+    return f"no OAK camera {device!r} was found (connected: {there}); device is an id, IP address or port"
+
+
 def not_opened(dai: Any, device: str, error: Exception) -> DeviceError:
     """Why a camera cannot be opened, and what can be done."""
     seen = all_cameras(dai)
-    if not seen and not device:
-        return DeviceError(NONE)
+    if not_there := missing(seen, device):
+        return DeviceError(not_there)
     wanted = [i for i in seen if not device or device in (i.deviceId, i.name)]
     if any(forbidden(dai, info) for info in wanted):
         return DeviceError(f"OAK camera {device or wanted[0].deviceId}: {permission()}")
-    if device and not wanted:
-        there = ", ".join(i.deviceId or i.name for i in seen) or "none at all"
-        return DeviceError(
-            f"no OAK camera {device!r} was found (connected: {there}); device is an id, IP address or port"
-        )
     return DeviceError(
         f"OAK camera {device or 'that was found first'} cannot be opened: {error}; does another program use it?"
     )

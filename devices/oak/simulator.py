@@ -362,6 +362,9 @@ class SimulatedOak(OakSource):
     def of(cls, source: OakSource, camera: SimulatedCamera) -> SimulatedOak:
         return cls(**{f.name: getattr(source, f.name) for f in fields(source)}, camera=camera)
 
+    def missing(self) -> str:
+        return ""
+
     def prepare(self) -> None:
         """Compiles what the picture is drawn with here, before the session: in depthai's own thread it would hold up the first frames."""
         OakSource.prepare(self)

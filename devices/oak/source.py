@@ -6,6 +6,7 @@ import time
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import timedelta
+from ipaddress import ip_address
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from kinegraph.devices.oak.archive import pose_archive
 from kinegraph.devices.oak.camera import Camera, CameraLink, opened
 from kinegraph.devices.oak.keypoint_sets import MARKERS
 from kinegraph.devices.oak.keypoints import Keypoints, sight_of
-from kinegraph.devices.oak.library import library, zero_ns
+from kinegraph.devices.oak.library import all_cameras, library, missing, zero_ns
 from kinegraph.devices.oak.network import apart_s
 from kinegraph.stream.chunk import NS, Specs, StreamSpec
 from kinegraph.stream.domain.axes import CAMERA
@@ -155,6 +156,10 @@ class Oak(Source):
         """The camera; a simulated one gives its own."""
         return opened(dai, self, link)
 
+    def missing(self) -> str:
+        """A camera that is named by its IP address may be in another network, where only opening finds it."""
+        return "" if _is_ip(self.device) else missing(all_cameras(library()), self.device)
+
     def prepare(self) -> None:
         library()  # where it is missing, waiting for it would be in vain
         self.check_network()
@@ -169,6 +174,13 @@ class Oak(Source):
         with self.open(dai, link) as camera:
             feed.identify("OAK", **camera.identity)
             _CameraReading(dai, self, camera, link, feed).run()
+
+
+def _is_ip(device: str) -> bool:
+    try:
+        return bool(ip_address(device))
+    except ValueError:
+        return False
 
 
 class _CameraReading:

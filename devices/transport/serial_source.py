@@ -10,7 +10,7 @@ from kinegraph.devices.clocks import line_below
 from kinegraph.devices.clocks.clock_log import ClockLog
 from kinegraph.devices.clocks.device_clock import ClockState
 from kinegraph.devices.transport.handshake import all_there
-from kinegraph.devices.transport.transport import Transport, connect, present
+from kinegraph.devices.transport.transport import Transport, connect, missing, present
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.source import Feed, Source
 
@@ -64,6 +64,9 @@ class SerialSource(Source):
 
     def present(self) -> bool | None:
         return present(self.port)
+
+    def missing(self) -> str:
+        return missing(self.port)
 
     def fetch(self, link: Transport, heard: float) -> bytes:
         """What has come; `heard`: when the last good record came (monotonic, s)."""

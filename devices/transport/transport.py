@@ -12,10 +12,10 @@ import socket
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 from kinegraph.devices.transport.closing import ClosesAtExit
-from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.errors import DeviceError, nearest
 
 MOST = 65536
 """Bytes taken in one read."""
@@ -70,6 +70,36 @@ def connect(address: str, baud: int = 115200) -> Transport:
 def present(address: str) -> bool | None:
     """Whether a serial port is there; None for what has no path: an address, or a port of Windows."""
     return Path(address).exists() if address.startswith("/") else None
+
+
+def missing(address: str) -> str:
+    """What to say of a serial port or a USB device that is not there, with the nearest that is; "" where only opening it can tell."""
+    if address.startswith("usb://"):
+        from kinegraph.devices.transport.usb_bus import UsbAddress, find
+
+        try:
+            find(UsbAddress.parse(address))
+        except DeviceError as error:
+            return str(error)
+        return ""
+    if present(address) is not False:
+        return ""
+    there = [port.device for port in connected_ports()]
+    hint = nearest(address, there) if there else "there is no serial port at all"
+    return f"serial port {address} does not exist; {hint}"
+
+
+def connected_ports() -> list[Any]:
+    """Every serial port (pyserial's ListPortInfo) that is a real one or says what it is."""
+    from serial.tools.list_ports import comports
+
+    return [
+        port
+        for port in sorted(comports())
+        if port.device.startswith("/dev/rfcomm")
+        or port.vid is not None
+        or port.description not in (None, "", "n/a", port.name)
+    ]
 
 
 class SerialTransport(ClosesAtExit):

@@ -92,7 +92,10 @@ def find(address: UsbAddress) -> Any:
         if not here and None in numbers:
             raise DeviceError(f"{address}: not allowed to ask for serial numbers; {rule(address)}")
     if not here:
-        raise DeviceError(f"{address} is not there; is it plugged in? `kinegraph devices usb` lists what is there")
+        others = [str(UsbAddress(d.idVendor, d.idProduct)) for d in connected()]
+        like = [other for other in others if other.startswith(str(UsbAddress(address.vendor)))]
+        hint = f"there is {like[0]}" if like else "`kinegraph devices usb` lists what is there"
+        raise DeviceError(f"{address} is not there; is it plugged in? {hint}")
     if len(here) > 1:
         known = ", ".join(str(UsbAddress(d.idVendor, d.idProduct, serial_number(d) or "?")) for d in here)
         raise DeviceError(f"{address} may be any of {len(here)} devices; write which one: {known}")

@@ -23,6 +23,7 @@ from kinegraph.stream.chunk import NEVER
 from kinegraph.stream.engine.flow.queues import DROPPED, ReadyQueue
 from kinegraph.stream.engine.ingress import Ingress
 from kinegraph.stream.engine.pipeline import Pipeline
+from kinegraph.stream.engine.probing import probe
 from kinegraph.stream.engine.resume import catch_up
 from kinegraph.stream.engine.session_log import PriorSession, SessionLog
 from kinegraph.stream.engine.shortfall import INCOMPLETE, shortfalls
@@ -51,6 +52,7 @@ class Session:
     folder       where the recording and the checkpoint go; None: nothing is recorded
     resume       go on with the session that was broken off in `folder`
     duration_s   end after this long; 0: when stopped, or when every source has ended
+    asked_by     which signal, or whoever else, asked it to end; "" where nothing did
     now(), turn  session time (ns): the clock's, or without live sources how far data have come;  whether all are ready: `turn.open`
     """
 
@@ -67,11 +69,12 @@ class Session:
         self.graph, self.folder, self._view, self._duration_s = graph, folder, view, duration_s
         graph.recorded_in = str(folder or "")
         self._prior = PriorSession(folder, graph) if resume and folder else None
+        self._probed = self._prior is not None
         self.clock = SessionClock(after=self._prior.last_time if self._prior else NEVER)
         self._ready: ReadyQueue = SimpleQueue()
         self._stopping = self._broken_off = self._down = self.warming = False
         self._error: Exception | None = None
-        self._began, self._ran_s, self._asked_by = 0.0, 0.0, ""
+        self._began, self._ran_s, self.asked_by = 0.0, 0.0, ""
         self.table: Table = {}
         waits = not is_live(graph)
         self.log = SessionLog(folder, graph, self.clock, self._prior, waits=waits)
@@ -86,7 +89,7 @@ class Session:
 
     def stop(self, by: str = "") -> None:
         """End the session cleanly, and say `by` which signal that was asked; may be called from any thread and from a signal handler."""
-        self._asked_by, self._stopping = self._asked_by or by, True
+        self.asked_by, self._stopping = self.asked_by or by, True
         self._ready.put(None)
 
     def tell(self, node: str, text: str) -> None:
@@ -97,8 +100,17 @@ class Session:
         """Annotate this moment, or the one at `onset` (ns)."""
         self.tell("annotations", f"{self.now() if onset is None else onset} {text}")
 
+    def probe(self) -> None:
+        """Look for the devices, once; `run` does so first. Raises DeviceError for required ones that are missing. A session that is resumed
+        goes on without, as where a cable is pulled meanwhile."""
+        if not self._probed:
+            self._probed = True
+            probe(self.graph)
+
     def run(self) -> Outcome:
-        """Run until every source has ended, `stop` is called, or something fails; closes everything. Raises Interrupted while `warming`."""
+        """Run until every source has ended, `stop` is called, or something fails; closes everything. Raises Interrupted while `warming`,
+        DeviceError where a device is missing from the start."""
+        self.probe()
         self.warming = True
         warm_up(self.pipeline, lambda: self._stopping)
         self.warming = False
@@ -112,7 +124,7 @@ class Session:
                     self._loop()
                 finally:
                     self._ran_s = time.monotonic() - self._began
-                self.log.asked_to_end(self._asked_by)
+                self.log.asked_to_end(self.asked_by)
         except Exception as error:  # noqa: BLE001 - told to the caller in the outcome, after everything is closed
             self._error = self._memory.of(error)
         finally:
@@ -254,6 +266,9 @@ class SessionPage(SessionView, Protocol):
 
     def attach(self, session: Session) -> None:
         """Observe what is to be shown; called before the session runs."""
+
+    def rest(self, outcome: Outcome) -> None:
+        """The session has ended, and the page is left open: show how it ended, and what it leaves behind."""
 
     def __enter__(self) -> Self: ...
 

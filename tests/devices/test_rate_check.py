@@ -190,3 +190,4 @@ def test_a_session_is_ended_in_words(tmp_path: Path) -> None:
         )
         outcome = Session(graph, tmp_path / "s", duration_s=30).run()
     assert outcome.error is not None and "is not as declared: it sends" in str(outcome.error)
+    assert outcome.exit_code == 3, "it is the device that is wrong, no operator"

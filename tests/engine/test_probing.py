@@ -1,0 +1,122 @@
+"""What is missing is named before anything compiles, with the nearest that is there."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import serial.tools.list_ports as list_ports
+from serial.tools.list_ports_common import ListPortInfo
+from structlog.testing import capture_logs
+
+from kinegraph.devices.lsl import LslInlet
+from kinegraph.devices.oak import Oak
+from kinegraph.devices.transport import transport, usb_bus
+from kinegraph.stream.chunk import Specs, StreamSpec
+from kinegraph.stream.engine import probing
+from kinegraph.stream.errors import DeviceError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.source import Feed, Source
+from tests.support.command_line import Command, refused
+
+BOARD = "nodes:\n  board: {use: devices.cyton.Cyton, port: /dev/ttyNOTTHERE%s}\n"
+UNKNOWN = threading.Event()
+
+
+@pytest.fixture
+def ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    built_in, adapter = ListPortInfo("/dev/ttyNOTTHERE0"), ListPortInfo("/dev/ttyNOTTHEIR")
+    adapter.vid = 0x0403
+    monkeypatch.setattr(list_ports, "comports", lambda: [built_in, adapter])
+
+
+def test_a_missing_port_is_named_before_anything_compiles(
+    kinegraph: Command, ports: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    monkeypatch.setattr("kinegraph.stream.engine.session.warm_up", lambda *_: pytest.fail("it compiles"))
+    (tmp_path / "graph.yaml").write_text(BOARD % "")
+    told = kinegraph("run", "graph.yaml", "--view", "none")
+    refused(told, "source 'board'", "/dev/ttyNOTTHERE does not exist", "'/dev/ttyNOTTHEIR'", "--simulate", code=3)
+    assert not (tmp_path / "recordings").exists(), "nothing is recorded of a session that has not begun"
+
+
+def test_all_that_is_missing_is_named_at_once(ports: None) -> None:
+    other = "  second: {use: devices.mti.Mti, port: /dev/ttyGONE}\n"
+    with pytest.raises(DeviceError, match=r"'board'.*ttyNOTTHERE.*'second'.*ttyGONE"):
+        probing.probe(load_text(BOARD % "" + other))
+
+
+def test_a_source_that_is_not_required_may_be_missing(ports: None) -> None:
+    probing.probe(load_text(BOARD % ", required: false"))
+
+
+def test_a_stream_that_may_appear_is_named_and_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LslInlet, "missing", lambda _: "no LSL stream")
+    with capture_logs() as logs:
+        probing.probe(load_text("nodes:\n  eeg: {use: devices.lsl.LslInlet, name: EEG, channels: 1}\n"))
+    (told,) = logs
+    assert told["node"] == "eeg" and "no LSL stream" in told["error"] and "--simulate" in told["error"]
+
+
+def test_a_simulated_device_is_not_looked_for(ports: None) -> None:
+    graph = load_text(BOARD % "")
+    graph.session["simulated_sources"] = ["board"]
+    probing.probe(graph)
+
+
+@dataclass(frozen=True, slots=True)
+class Slow(Source):
+    """Its library does not come back."""
+
+    def specs(self) -> Specs:
+        return {"out": StreamSpec((1,), rate_hz=10.0)}
+
+    def missing(self) -> str:
+        UNKNOWN.wait(30)
+        return "never seen"
+
+    def read(self, feed: Feed) -> None:
+        raise NotImplementedError
+
+
+def test_a_library_that_does_not_answer_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probing, "PROBE_S", 0.01)
+    UNKNOWN.clear()
+    graph = load_text(f"nodes:\n  slow: {{use: {Slow.__module__}.Slow}}\n")
+    try:
+        probing.probe(graph)
+    finally:
+        UNKNOWN.set()
+
+
+def test_a_port_that_is_there_is_not_missing(ports: None) -> None:
+    assert transport.missing("/dev/null") == transport.missing("tcp://localhost:1") == ""
+
+
+def test_a_usb_device_is_named_with_its_sibling(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(usb_bus, "connected", lambda: [SimpleNamespace(idVendor=0x2639, idProduct=0x0017)])
+    told = transport.missing("usb://2639:0003")
+    assert "usb://2639:0003 is not there" in told and "there is usb://2639:0017" in told
+
+
+def test_a_camera_that_is_not_among_those_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = [SimpleNamespace(deviceId="14442C10", name="1.2")]
+    monkeypatch.setattr("kinegraph.devices.oak.source.library", lambda: None)
+    monkeypatch.setattr("kinegraph.devices.oak.source.all_cameras", lambda _: seen)
+    assert "connected: 14442C10" in Oak(device="14442C11").missing()
+    assert Oak().missing() == Oak(device="1.2").missing() == Oak(device="192.168.1.5").missing() == ""
+
+
+def test_a_stream_that_nobody_sends_is_named_with_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    info = SimpleNamespace(
+        name=lambda: "OpenBCI_EMG", type=lambda: "EMG", source_id=lambda: "x", hostname=lambda: "lab"
+    )
+    lsl = SimpleNamespace(ContinuousResolver=lambda: SimpleNamespace(results=lambda: [info]))
+    monkeypatch.setattr("kinegraph.devices.lsl.inlet.library", lambda _: lsl)
+    monkeypatch.setattr("kinegraph.devices.lsl.find.PROBE_S", 0.0)
+    told = LslInlet(name="OpenBCI_EEG", channels=1).missing()
+    assert "no LSL stream with name 'OpenBCI_EEG'" in told and "did you mean 'OpenBCI_EMG'?" in told
+    assert LslInlet(name="OpenBCI_EMG", channels=1).missing() == ""
