@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,7 @@ class Hub:
         self.edges: dict[str, float] = {}
         self.states = 0
         self.over = ""
+        self.reports: list[str] = []
         self.dropped = 0
         self._log: deque[dict[str, Any]] = deque(maxlen=LOG_LINES)
         self._lines = 0
@@ -97,7 +99,7 @@ class Hub:
                 self._log.append(header["line"])
                 self._lines += 1
             case "over":
-                self.over = header["why"]
+                self.over, self.reports = header["why"], header.get("reports", self.reports)
                 self.states += 1
 
     def _begin(self, header: dict[str, Any]) -> None:
@@ -188,7 +190,10 @@ class Hub:
             found.append(encode({"t": "log", "lines": lines}))
         if client.state_sent < self.states:
             client.state_sent = self.states
-            more = {"clients": len(self.clients), "skipped": client.skipped, "dropped": self.dropped, "over": self.over}
+            more = {
+                "clients": len(self.clients), "skipped": client.skipped, "dropped": self.dropped,
+                "over": self.over, "reports": [Path(file).name for file in self.reports],
+            }  # fmt: skip
             found.append(encode({"t": "state", "table": self.table, "edges": self.edges, **more}))
         return found
 

@@ -36,7 +36,7 @@ from kinegraph.devices.page.transfer.channel import PageChannel, Portion, messag
 from kinegraph.devices.page.transfer.handover import MOST_LINES, Handover, log_line
 from kinegraph.devices.page.transfer.wire import encode
 from kinegraph.stream.chunk import NS
-from kinegraph.stream.engine.status import Table
+from kinegraph.stream.engine.status import Outcome, Table
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.graph import Graph
 from kinegraph.stream.text.safe_text import say
@@ -181,6 +181,12 @@ class LivePage:
         then, self._counted_s = self._counted_s, time.monotonic()
         lasted = self._counted_s - then
         return {name: round((count - before[name]) / lasted, 2) for name, count in counts.items() if name in before}
+
+    def rest(self, outcome: Outcome) -> None:
+        """The session has ended, and its page stays: it shows that, and links the reports."""
+        failed = f" with an error: {outcome.error}" if outcome.error else ""
+        reports = [file for file in outcome.files.values() if Path(file).suffix == ".html" and Path(file).is_file()]
+        self._handover.note(encode({"t": "over", "why": f"the session has ended{failed}", "reports": reports}))
 
     def __enter__(self) -> Self:
         self._before = structlog.get_config()["processors"]

@@ -49,6 +49,7 @@ async def main(options: dict[str, Any]) -> None:
         hub,
         lambda: openmetrics(hub.hello.get("name", ""), hub.table, len(hub.clients), hub.dropped),
         avatar=Path(options["avatar"]).read_bytes(),
+        reports=lambda: hub.reports,
     )
     tls = tls_context(options["certificate"], options["key"])
     port = await server.open(options["host"], options["port"], options["token"], tls)

@@ -7,9 +7,10 @@ import contextlib
 import gzip
 import socket
 import ssl
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from http import HTTPStatus
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, Protocol
 
 import structlog
@@ -34,6 +35,9 @@ AVATAR = "/avatar.vrm"
 """The one avatar that this page shows; what a client asks for never names a file."""
 SOCKET = "/socket"
 MODULES = "/panels/"
+REPORTS = "/reports/"
+REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:; sandbox"
+"""A report holds all that it shows, and runs nothing."""
 NO_PAGE = HTTPStatus.NOT_FOUND, "there is no such page\n"
 MOST_CLIENTS = 64
 WAITING_BYTES = 1 << 18
@@ -68,6 +72,7 @@ class PageServer:
     metrics      writes the text behind `/metrics`
     files        the page's own files, by path: (name, type)
     avatar       what stands behind AVATAR: a VRM file
+    reports      the session's reports, HTML files, once they are written; clients name them by their number
     understand   what a client asks for, out of its message; raises ValueError
     """
 
@@ -79,7 +84,9 @@ class PageServer:
         files: Mapping[str, tuple[str, str]] = FILES,
         understand: Callable[[str | bytes], Any] = asked,
         avatar: bytes = b"",
+        reports: Callable[[], Sequence[str]] = tuple,
     ) -> None:
+        self._reports = reports
         self._shows, self._metrics, self._files, self._understand = shows, metrics, files, understand
         self._access, self._avatar = Access("", 0), avatar
         self._packed = {path: gzip.compress(built(name), mtime=0) for path, (name, _) in files.items()}
@@ -132,6 +139,8 @@ class PageServer:
             return _response(HTTPStatus.OK, FILES["/page.js"][1], module.encode()) if module else _plain(*NO_PAGE)
         if path == AVATAR and self._avatar:
             return _response(HTTPStatus.OK, "model/gltf-binary", self._avatar)
+        if path.startswith(REPORTS):
+            return self._report(path.removeprefix(REPORTS))
         if path not in self._files:
             return _plain(*NO_PAGE)
         if (
@@ -144,6 +153,14 @@ class PageServer:
         else:
             response = _response(HTTPStatus.OK, self._files[path][1], gzip.decompress(self._packed[path]))
         return response
+
+    def _report(self, number: str) -> Response:
+        reports = self._reports()
+        try:
+            body = Path(reports[int(number)] if number.isdigit() else "").read_bytes()
+        except (OSError, IndexError):  # somebody has moved it
+            return _plain(*NO_PAGE)
+        return _response(HTTPStatus.OK, FILES["/"][1], body, policy=REPORT_POLICY)
 
     async def _meet(self, connection: ServerConnection) -> None:
         """One client, from its first message to its last."""
@@ -185,9 +202,10 @@ def goodbye(why: str) -> bytes:
     return encode({"t": "over", "why": why})
 
 
-def _response(status: HTTPStatus, kind: str, body: bytes, *more: tuple[str, str]) -> Response:
+def _response(status: HTTPStatus, kind: str, body: bytes, *more: tuple[str, str], policy: str = "") -> Response:
+    headers = HEADERS | ({"Content-Security-Policy": policy} if policy else {})
     sizes = (("Content-Type", kind), ("Content-Length", str(len(body))), ("Connection", "close"))
-    return Response(status.value, status.phrase, Headers([*HEADERS.items(), *sizes, *more]), body)
+    return Response(status.value, status.phrase, Headers([*headers.items(), *sizes, *more]), body)
 
 
 def _plain(status: HTTPStatus, text: str) -> Response:

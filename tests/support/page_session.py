@@ -80,9 +80,14 @@ class PageProcess:
 
 @contextmanager
 def page_process(
-    folder: Path, *arguments: object, at: str = ":0", program: Path = KINEGRAPH, **environment: str
+    folder: Path,
+    *arguments: object,
+    at: str = ":0",
+    program: Path = KINEGRAPH,
+    terminal: int | None = None,
+    **environment: str,
 ) -> Iterator[PageProcess]:
-    """`kinegraph` with these arguments and a page, at a free port; it is gone afterwards."""
+    """`kinegraph` with these arguments and a page, at a free port; it is gone afterwards. `terminal`: its standard input and output."""
     log = folder / "said.txt"
     command = [str(program), *map(str, arguments), "--page-at", at]
     with (
@@ -90,8 +95,8 @@ def page_process(
         subprocess.Popen(
             command,
             cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=out,
+            stdin=subprocess.DEVNULL if terminal is None else terminal,
+            stdout=out if terminal is None else terminal,
             stderr=out,
             text=True,
             env={**os.environ, "PYTHONUNBUFFERED": "1", **environment},

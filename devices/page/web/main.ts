@@ -15,11 +15,14 @@ import { GraphPanel, LogPanel, StatePanel } from "./state";
 import { Stream } from "./store";
 import { MARKS, Player, Replayer, Timeline } from "./timeline";
 import { WeeksPanel } from "./weeks";
-import { Connection, type Hello, type Message, VERSION } from "./wire";
+import { Connection, type Hello, type Message, type StateMessage, VERSION } from "./wire";
 
 const WINDOWS_S = [2, 5, 10, 30, 60, 300, 1800, 3600, 36000];
 const LOOK_MS = 80;
-const STARTING = "starting: compiling, and waiting for devices";
+const STARTING = "starting: compiling, then waiting for";
+/** What people type, for which no session waits. */
+const MANUAL = "stream.manual.";
+const GONE = "kinegraph is no longer running";
 /** A long window begins with the session, until it is full; but not shorter than this share of it. */
 const [LONG_S, SHORTEST] = [300, 1 / 8];
 /** A panel of this width is as wide as the page. */
@@ -66,12 +69,16 @@ class Main implements Page {
   private looked = 0;
   private answered = NaN;
   private onset = NaN;
+  private starting = false;
+  private devices: string[] = [];
+  /** Why the session has ended. */
+  private over = "";
 
   constructor() {
     const dark = matchMedia("(prefers-color-scheme: dark)");
     this.theme(localStorage.getItem("theme") ?? (dark.matches ? "dark" : "light"));
     dark.onchange = () => { if (!localStorage.getItem("theme")) this.theme(dark.matches ? "dark" : "light"); };
-    this.connection = new Connection((m, buffer, at) => this.hear(m, buffer, at), (state) => this.say(state));
+    this.connection = new Connection((m, buffer, at) => this.hear(m, buffer, at), (state) => this.say(this.over && state !== "connected" ? `${this.over}; ${GONE}` : state));
     addEventListener("keydown", (event) => this.key(event));
     addEventListener("resize", () => {
       this.fill();
@@ -112,8 +119,9 @@ class Main implements Page {
       case "events": return this.streams[message.s]?.addEvents(message, now);
       case "state":
         for (const panel of this.panels) if (panel instanceof StatePanel || panel instanceof GraphPanel) panel.take(message);
-        if (message.over) this.say(message.over);
-        else if (this.status.textContent === STARTING && Object.keys(message.table).length) this.say("live");
+        this.over = message.over;
+        if (message.over) this.end(message.over, message.reports ?? []);
+        else if (this.starting) this.begun(message.table);
         return;
       case "gaps":
         this.timeline?.take(message.s, message.gaps);
@@ -145,6 +153,22 @@ class Main implements Page {
     }
   }
 
+  /** The session starts: what it still waits for, until all devices are there. */
+  private begun(table: StateMessage["table"]): void {
+    const waiting = this.devices.filter((name) => Object.entries(table).some(([stream, row]) => row["state"] === "starting" && `${stream}.`.startsWith(`${name}.`)));
+    if (waiting.length) return this.say(`starting: waiting for ${waiting.join(", ")}`);
+    if (!Object.keys(table).length) return;
+    this.starting = false;
+    this.say("live");
+  }
+
+  /** The session has ended: say so, and link what it has left. */
+  private end(why: string, reports: string[]): void {
+    this.say(why);
+    const links = reports.map((name, i) => make("a", { href: `reports/${i}`, target: "_blank", rel: "noopener" }, name.replace(/\.html$/, "")));
+    if (links.length) this.status.append(": ", ...links.flatMap((link, i) => (i ? [", ", link] : [link])));
+  }
+
   private begin(hello: Hello): void {
     if (hello.v > VERSION) return this.say("this page is older than its server: load it again");
     this.hello = hello;
@@ -165,7 +189,10 @@ class Main implements Page {
     this.read = hello.whole === true;
     this.timeline = this.recording ? new Timeline(this.footer, hello, this.streams, this) : null;
     this.toolbar(hello);
-    this.say(hello.mode === "live" ? STARTING : hello.mode);
+    this.starting = hello.mode === "live";
+    this.over = "";
+    this.devices = hello.nodes.filter((node) => node.kind === "source" && !node.use.startsWith(MANUAL)).map((node) => node.name);
+    this.say(this.starting ? `${STARTING} ${this.devices.join(", ")}` : hello.mode);
     this.look();
   }
 

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from importlib.metadata import entry_points
 from math import isfinite
 from pathlib import Path
@@ -18,7 +18,7 @@ import typer
 
 from kinegraph.stream.cli.commands.graph_options import GraphFile, Settings, TrustedOnly
 from kinegraph.stream.cli.commands.page_options import NoToken, PageAt, PageAvatar, PageCertificate, PageKey
-from kinegraph.stream.errors import KinegraphError, RecordingError
+from kinegraph.stream.errors import Interrupted, KinegraphError, RecordingError
 from kinegraph.stream.source import Source
 from kinegraph.stream.system.entry_points import loaded
 from kinegraph.stream.text.safe_text import say
@@ -64,6 +64,9 @@ def run(
     trusted_only: TrustedOnly = False,
 ) -> None:
     """Run a graph on live devices, and record the session.
+
+    With --page on a terminal, and without --for, the page stays when the session has ended, with its report, until Ctrl-C. With --for, or
+    where standard input or output is no terminal, the command ends with the session.
 
     While it runs: type a word and Enter to annotate a moment, a digit or the space bar to mark it at once, name=number to set a value.
     Ctrl-C ends the session cleanly; a second one aborts whatever hangs.
@@ -115,17 +118,36 @@ def conduct(
         screen = _screen(view, graph)
         views = Views((screen, *pages))
         session = Session(graph, folder, resume=resume, duration_s=duration_s, view=views)
+        session.probe()
         for page in pages:
             page.attach(session)
         ending = Ending(session, _tell_end)
         with ending, ending.shown as shown:
-            shown.enter_context(Console(session).listening())
+            served = shown.enter_context(ExitStack())
             for page in pages:
-                shown.enter_context(page)
+                served.enter_context(page)
+            shown.enter_context(Console(session).listening())
             shown.enter_context(screen)
             outcome = session.run()
+            stays = bool(pages) and not duration_s and _on_terminal() and session.asked_by in ("", "SIGINT")
+            served = served.pop_all() if stays else served
     _tell_end(outcome)
+    if stays:
+        with served, suppress(Interrupted):
+            for page in pages:
+                page.rest(outcome)
+            say("the session has ended; its page stays until Ctrl-C", err=True)
+            _wait_for_interrupt()
     _leave(outcome.exit_code)
+
+
+def _on_terminal() -> bool:
+    """Whether a person is there to end what stays."""
+    return bool(sys.stdin and sys.stdin.isatty() and sys.stdout.isatty())
+
+
+def _wait_for_interrupt() -> None:
+    threading.Event().wait()
 
 
 def _leave(code: int) -> NoReturn:
