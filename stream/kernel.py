@@ -23,6 +23,7 @@ import platformdirs
 from numba.core import caching
 
 from kinegraph.stream.compiler.fingerprint import fingerprint
+from kinegraph.stream.compiler.nested import KernelDispatcher
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder
 from kinegraph.stream.system.file_permissions import refuse_shared
@@ -54,7 +55,8 @@ def kernel(function: Callable[P, R] | None = None, /, *, nogil: bool = False) ->
 
 def _compile(function: Callable[P, R], nogil: bool) -> Callable[P, R]:
     cache_folder()
-    compiled: Any = numba.njit(nogil=nogil, error_model="numpy")(function)
+    options = {"nopython": True, "boundscheck": None, "nogil": nogil, "error_model": "numpy"}
+    compiled: Any = KernelDispatcher(function, {}, options)
     compiled._cache = _Kept(function, nogil)
     return compiled  # type: ignore[no-any-return]
 

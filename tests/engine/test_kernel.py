@@ -244,3 +244,20 @@ def test_a_kernel_that_gives_up_the_interpreter_lock_is_another_one(tmp_path: Pa
     write(tmp_path / "free_gain.py", text.format("(nogil=True)"))
     assert run(tmp_path, "free_gain", tmp_path / "cache")[1] > 0
     assert run(tmp_path, "free_gain", tmp_path / "cache")[1] == 0
+
+
+def test_machine_code_is_made_for_what_python_calls_alone() -> None:
+    """A kernel that others call is optimised within them; once Python calls it, it has machine code of its own."""
+
+    @kernel
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    @kernel
+    def outer(x: float) -> float:
+        return twice(x) + 1.0
+
+    assert outer(3.0) == 7.0
+    assert not twice.signatures  # type: ignore[attr-defined]
+    assert twice(3.0) == 6.0
+    assert outer(3) == 7.0, "other types than before"

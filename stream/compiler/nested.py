@@ -1,0 +1,78 @@
+"""Kernels that other kernels call: made once without being optimised, and optimised once, with the kernel that Python calls.
+
+Numba optimises every kernel and compiles it to machine code with all that it calls, which has been optimised before: a kernel below ten
+others is optimised ten times, and so on below each of these. Only what Python calls needs machine code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+from numba.core import compiler, dispatcher
+from numba.core.codegen import JITCodeLibrary
+from numba.core.registry import CPUDispatcher
+
+_FunctionCompiler: Any = dispatcher._FunctionCompiler  # type: ignore[attr-defined]
+_numba: Any = compiler
+
+
+class _Library(JITCodeLibrary):
+    """A function and those that it calls, to be linked into another library: neither optimised as a whole nor compiled to machine code."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+        self._finalized = True
+
+
+class _Compiler(_FunctionCompiler):  # type: ignore[misc]
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        flags: Any = _numba.Flags()
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
+        context = self.targetdescr.target_context
+        library = cast(Any, _Library)(context.codegen(), self.py_func.__qualname__)
+        made = _numba.compile_extra(
+            self.targetdescr.typing_context,
+            context,
+            self.py_func,
+            args=args,
+            return_type=return_type,
+            flags=flags,
+            locals=self.locals,
+            library=library,
+            pipeline_class=self.pipeline_class,
+        )
+        context.insert_user_function(made.fndesc, made.fndesc, [made.library])
+        return made
+
+
+class _Callee(CPUDispatcher):
+    """A kernel as other kernels call it. It has no address, so its description is what numba knows it by."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        super().__init__(function, {}, options)
+        self._compiler = _Compiler(function, self.targetdescr, options, {}, compiler.Compiler)
+
+    def add_overload(self, made: Any) -> None:
+        self.overloads[tuple(made.signature.args)] = made
+
+    def get_overload(self, args: Any) -> Any:
+        return self.overloads[tuple(args)].fndesc  # type: ignore[attr-defined]
+
+
+class KernelDispatcher(CPUDispatcher):
+    """A kernel as Python calls it; kernels call its `_Callee`."""
+
+    _callee: Any = None
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        if self._callee is None:
+            self._callee = _Callee(self.py_func, self.targetoptions)
+        return self._callee.get_call_template(args, kws)
+
+    def get_overload(self, args: Any) -> Any:
+        return self._callee.get_overload(args)
