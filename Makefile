@@ -1,4 +1,4 @@
-# make demo: a treadmill session on a simulated signal that loses a second, live in the terminal and in a browser, with a report at the end.
+# make demo: a simulated treadmill session in the browser, which loses a second on purpose, with a report at the end (make demo DEMO=night: others).
 # make check: lint, types, the laws on three operators (make check OPERATORS="Envelope or Cycles": on others), a quick test of each subject.
 # make test: everything that guards a change.
 # make nightly: make test and all that takes long: hard nights, long sessions, fuzzing by the minute, peers, every page in the browser.
@@ -8,7 +8,6 @@
 
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
-SECONDS_OF_DEMO ?= 30
 OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
 BIN := .venv/bin
@@ -19,11 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo check test nightly test-peers bench fuzz soak nights audit licences site dist clean
 
 demo: .venv/installed
-	$(BIN)/kinegraph run configs/treadmill_emg.yaml --set treadmill.duration_s=$(SECONDS_OF_DEMO) \
-		--set 'treadmill.faults=[{kind: lost, from_s: 6, for_s: 1}]' --page
-	@recording=$$(ls -td recordings/treadmill_emg-* | head -n 1); \
-	echo "its recording in a browser:          $(BIN)/kinegraph view $$recording"; \
-	echo "the session again, with your marks:  $(BIN)/kinegraph replay treadmill_emg $$recording --page"
+	@$(BIN)/kinegraph demo $(DEMO)
 
 check: .venv/installed-for-tests
 	$(BIN)/ruff check .

@@ -92,7 +92,7 @@ class LivePage:
         self._over, self._listening = threading.Event(), threading.Event()
         self._handover = Handover(self._new_channel(), self._over, live=mode == "live")
         self._port, self._t0 = self._address.port, time.time_ns()
-        self._said = False
+        self._said, self._began_s = False, time.time()
         self._pipeline: Pipeline | None = None
         self._samples: dict[str, int] = {}
         self._counted_s = 0.0
@@ -102,6 +102,11 @@ class LivePage:
     def url(self, port: int) -> str:
         """The address that is printed."""
         return self._address.url(port)
+
+    @property
+    def address(self) -> str:
+        """Where it is served, once it is."""
+        return self.url(self._port)
 
     def refuse_missing(self) -> None:
         """Raises KinegraphError where what it is served by is not there."""
@@ -185,7 +190,7 @@ class LivePage:
     def rest(self, outcome: Outcome) -> None:
         """The session has ended, and its page stays: it shows that, and links the reports."""
         failed = f" with an error: {outcome.error}" if outcome.error else ""
-        reports = [file for file in outcome.files.values() if Path(file).suffix == ".html" and Path(file).is_file()]
+        reports = [str(path.resolve()) for file in outcome.files.values() for path in _pages(Path(file), self._began_s)]
         self._handover.note(encode({"t": "over", "why": f"the session has ended{failed}", "reports": reports}))
 
     def __enter__(self) -> Self:
@@ -239,6 +244,13 @@ class LivePage:
             case what if what in self._steered:
                 self._steered[what](**asked)
                 log.info(SAID[what], **asked)
+
+
+def _pages(file: Path, since_s: float) -> list[Path]:
+    """The HTML that an outlet has left: its file, or what is new in its folder."""
+    if file.is_dir():
+        return sorted(path for path in file.rglob("*.html") if path.stat().st_mtime >= since_s)
+    return [file] if file.suffix == ".html" and file.is_file() else []
 
 
 class FoxgloveLane(LivePage):

@@ -12,6 +12,7 @@ from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.domain.axes import BODY
 from kinegraph.stream.domain.humanoid import BONES, usual_body
 from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.params import param
 from kinegraph.stream.source import Feed
 
@@ -47,9 +48,14 @@ class Performer(FrameSource):
 
     noise_mm: float = param(5.0, least=0.0, help="standard deviation of every coordinate")
     hides: bool = param(True, help="the left hand goes behind the back now and then")
+    lost: tuple[float, ...] = param(
+        (), least=0.0, help="[from (s), for (s)]: frames that do not arrive; left out: none"
+    )
     seed: int = param(0, least=0, help="another seed, other noise")
 
     def specs(self) -> Specs:
+        if len(self.lost) not in (0, 2):
+            raise ParameterError("lost", list(self.lost), "two numbers: from (s), for (s)")
         made = {"simulated": True, "axes": BODY.facts()}
         markers = StreamSpec((len(MARKERS), 3), rate_hz=self.rate_hz, channels=MARKERS, units=("m",), meta=made)
         return {"markers": markers, "pose": usual_body().spec(self.rate_hz, meta=made)}
@@ -58,11 +64,19 @@ class Performer(FrameSource):
         true_pose(0.0)
 
     def read(self, feed: Feed) -> None:
+        missing = 0
         for frame, stamp in self.frames(feed, self.rate_hz):
+            if self._is_lost(frame / self.rate_hz):
+                missing += 1
+                continue
             pose = true_pose(frame / self.rate_hz)
             at = np.array([stamp])
-            feed.emit(Chunk(at, self.markers(frame, pose)[None], stamp), "markers")
-            feed.emit(Chunk(at, pose[None], stamp), "pose")
+            feed.emit(Chunk(at, self.markers(frame, pose)[None], stamp, missing), "markers")
+            feed.emit(Chunk(at, pose[None], stamp, missing), "pose")
+            missing = 0
+
+    def _is_lost(self, time_s: float) -> bool:
+        return bool(self.lost) and self.lost[0] <= time_s < sum(self.lost)
 
     def markers(self, frame: int, pose: Samples) -> Samples:
         """The markers (13, 3) of a frame."""

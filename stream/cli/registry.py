@@ -13,6 +13,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.entry_points import loaded
 
 COMMANDS = {
+    "demo": ("kinegraph.stream.cli.commands.demo:demo", "Show a simulated session in the browser."),
     "run": ("kinegraph.stream.cli.commands.run:run", "Run a graph on live devices; record the session."),
     "replay": ("kinegraph.stream.cli.commands.replay:replay", "Run a graph on a recording; same results, bit for bit."),
     "batch": ("kinegraph.stream.cli.commands.batch:batch", "Replay a graph over many recordings, into Parquet tables."),

@@ -1,119 +1,119 @@
-"""What the README promises somebody who has never seen the project, done as it says, in a real browser: watch the demo's cycles, open its
-recording, find the gap, mark that moment, see the mark in the replay. The demo itself waits for nobody when it is over."""
+"""`kinegraph demo`: each demo runs as its graph is, loses a second on purpose, opens the browser and leaves its report on the page."""
 
 from __future__ import annotations
 
 import os
 import re
-import shlex
-import shutil
-import subprocess
-import sys
-import time
+import signal
+import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from kinegraph.devices.people.performer import Performer
+from kinegraph.stream.cli.commands import demo as demos
+from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.graph.reading.load import load
+from kinegraph.stream.graph.reading.overrides import read
+from kinegraph.stream.graph.shipped import shipped
 from tests.support.browser import needs_browser
-from tests.support.live_browser import LiveBrowser, live_browser
-from tests.support.page_session import PATIENCE_S, needs_page
-
-HOUSE = Path(__file__).resolve().parents[2]
-README = (HOUSE / "README.md").read_text(encoding="utf-8")
-PROGRAMS = Path(sys.executable).parent
-SECONDS, LOST_S = 14, 6.0
-ADDRESS = re.compile(r"page: (http://[\d.]+:\d+/\S*)")
-VIEW = re.compile(r"its recording in a browser: +(\S+/kinegraph view (recordings/treadmill_emg-\S+))$", re.MULTILINE)
-REPLAY = re.compile(
-    r"the session again, with your marks: +(\S+/kinegraph replay \S+ recordings/treadmill_emg-\S+ --page)\s*$"
-)
-
-pytestmark = [
-    pytest.mark.nightly,
-    needs_page,
-    needs_browser,
-    pytest.mark.timeout(500),
-    pytest.mark.skipif(shutil.which("make") is None, reason="no make here"),
-]
+from tests.support.command_line import Command, refused
+from tests.support.device_feed import Kept
+from tests.support.live_browser import live_browser
+from tests.support.page_session import a_terminal, needs_page, page_process
 
 
-@contextmanager
-def typed(command: list[str], folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
-    """What somebody types in a terminal, and what it has said so far."""
-    alone = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
-    """It is no part of the `make` that runs the tests."""
-    alone["PATH"] = f"{PROGRAMS}{os.pathsep}{alone['PATH']}"
-    log = folder / f"{len(list(folder.iterdir()))}.txt"
-    with (
-        log.open("w") as out,
-        subprocess.Popen(command, cwd=folder, env=alone, stdout=out, stderr=out, stdin=subprocess.DEVNULL) as process,
-    ):
-        try:
-            yield process, log
-        finally:
-            if process.poll() is None:
-                process.terminate()
+@pytest.fixture
+def conducted(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Any]]:
+    """What a demo would run."""
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(demos, "conduct", lambda graph, folder, **more: given.update(more, graph=graph, folder=folder))
+    monkeypatch.setattr("os.environ", {**os.environ, "DISPLAY": ":0"})
+    yield given
 
 
-def address(process: subprocess.Popen[bytes], log: Path) -> str:
-    end = time.monotonic() + PATIENCE_S
-    while not (found := ADDRESS.search(log.read_text())):
-        assert process.poll() is None and time.monotonic() < end, log.read_text()
-        time.sleep(0.05)
-    return found[1]
+@pytest.mark.parametrize("name", demos.DEMOS)
+def test_every_demo_is_a_shipped_graph_that_can_run(name: str) -> None:
+    demo = demos.DEMOS[name]
+    assert load(shipped()[demo.graph], overrides=read(list(demo.settings))).nodes
 
 
-def told(pattern: str) -> str:
-    """What the README says; the test does as it says."""
-    found = re.search(pattern, " ".join(README.split()))
-    assert found, f"the README no longer says {pattern}"
-    return found[1]
-
-
-def test_somebody_with_only_the_readme_watches_cycles_finds_the_gap_marks_it_and_sees_the_mark_again(
-    tmp_path: Path,
+@needs_page
+def test_it_opens_the_browser_at_the_page_and_loses_a_second(
+    kinegraph: Command, conducted: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copy(HOUSE / "Makefile", tmp_path)
-    shutil.copytree(HOUSE / "configs", tmp_path / "configs")
-    demo = [*shlex.split(told(r"In a checkout, `([^`]+)` creates")), "-o", ".venv/installed", f"BIN={PROGRAMS}"]
-    with live_browser(tmp_path) as browser:
-        with typed([*demo, f"SECONDS_OF_DEMO={SECONDS}"], tmp_path) as (process, log):
-            browser.open(address(process, log))
-            browser.wait("document.querySelector('.cycles')?.dataset.cycles > 2")
-            assert browser.colours(".cycles canvas") > 5
-            assert browser.complaints == []
-            assert process.wait(2 * PATIENCE_S) == 0, log.read_text()
-            told("(printing two commands. The first opens .* The second replays)")
-            first, second = VIEW.search(log.read_text()), REPLAY.search(log.read_text())
-            assert first and second and (tmp_path / first[2]).is_dir(), log.read_text()
-        with typed(shlex.split(first[1]), tmp_path) as (process, log):
-            browser.open(address(process, log))
-            at = find_and_mark(
-                browser, told(r"browser, where `(.)` jumps to the gap"), told(r"gap, and `(.)`, a text and Enter mark")
-            )
-        with typed([*shlex.split(second[1]), "-q"], tmp_path) as (process, log):
-            browser.open(address(process, log))
-            chosen = "[...s.options].find(o => o.textContent === 'marks')"
-            browser.wait(
-                f"(s => s && {chosen} && (s.value = {chosen}.value))(document.querySelector('select[aria-label=stream]'))"
-            )
-            browser.wait("document.querySelector('.table table').textContent.includes('lost here')")
-            browser.wait(f"+document.body.dataset.replayed > {at}")
-            assert browser.complaints == []
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", lambda url: bool(opened.append(url)) or True)
+    code, _, told = kinegraph("demo")
+    assert code == 0 and "lost on purpose" in told, told
+    (fault,) = conducted["graph"].nodes["treadmill"].part.faults
+    assert (fault.kind, fault.for_s) == ("lost", 1.0)
+    assert conducted["duration_s"] == demos.UNATTENDED_S, "nobody is there to end it"
+    assert conducted["simulate"] and any("kinegraph view recordings/" in line for line in conducted["farewell"])
+    conducted["begun"]()
+    assert opened == [conducted["pages"][0].address] and "token=" in opened[0]
 
 
-def find_and_mark(browser: LiveBrowser, gap: str, mark: str) -> float:
-    """Go to the gap by its key and mark it by the other; where that is (s)."""
-    browser.wait("document.getElementById('line').dataset.gaps > 0 && document.body.dataset.looked >= 0")
-    browser.type(gap)
-    cursor = "+document.querySelector('#line canvas').getAttribute('aria-valuenow')"
-    at = float(browser.wait(f"(t => Math.abs(t - {LOST_S}) < .5 && t)({cursor})"))
-    browser.wait("[...document.querySelectorAll('.signal')].some(panel => panel.dataset.gaps > 0)")
-    browser.type(mark)
-    browser.wait("document.activeElement.getAttribute('aria-label') === 'annotation'")
-    browser.type("lost here\r")
-    browser.wait("document.getElementById('line').dataset.marks === '1'")
-    assert browser.complaints == []
-    return at
+@needs_page
+def test_on_a_terminal_it_runs_until_ctrl_c_and_no_browser_is_opened_that_was_not_wanted(
+    kinegraph: Command, conducted: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demos, "on_terminal", lambda: True)
+    assert kinegraph("demo", "avatar", "--no-browser")[0] == 0
+    assert conducted["duration_s"] == 0.0 and conducted["begun"] is None
+
+
+def test_without_a_display_no_browser_of_text_takes_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.environ", {})
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.setattr(webbrowser, "open", lambda _: pytest.fail("it is opened"))
+    demos.show("http://127.0.0.1:7790/")
+
+
+def test_a_browser_that_cannot_be_opened_is_no_fault(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("os.environ", {"DISPLAY": ":0"})
+    monkeypatch.setattr(webbrowser, "open", lambda _: False)
+    demos.show("http://127.0.0.1:7790/")
+    assert "open http://127.0.0.1:7790/ in one" in capsys.readouterr().err
+
+
+def test_a_demo_that_is_not_there_is_refused_with_the_nearest(kinegraph: Command) -> None:
+    refused(kinegraph("demo", "treadmil"), "there is no demo 'treadmil'", "'treadmill'")
+
+
+def test_frames_that_are_lost_on_purpose_are_counted() -> None:
+    feed = Kept()
+    Performer(realtime=False, duration_s=2.0, lost=(0.5, 1.0)).read(feed)
+    whole = Kept()
+    Performer(realtime=False, duration_s=2.0).read(whole)
+    kept = feed.data("markers")
+    assert len(kept) == 30 and feed.lost("markers") == {15: 30}
+    np.testing.assert_array_equal(kept[15:], whole.data("markers")[45:])
+    with pytest.raises(ParameterError, match="two numbers"):
+        Performer(lost=(1.0,)).specs()
+
+
+@pytest.mark.nightly
+@needs_page
+@needs_browser
+@pytest.mark.timeout(500)
+def test_a_person_watches_cycles_a_gap_and_finds_the_report_on_the_page(tmp_path: Path) -> None:
+    with (
+        a_terminal() as terminal,
+        live_browser(tmp_path) as browser,
+        page_process(tmp_path, "demo", "--no-browser", terminal=terminal) as process,
+    ):
+        browser.open(process.url)
+        browser.wait("document.querySelector('.cycles')?.dataset.cycles > 2")
+        browser.wait("[...document.querySelectorAll('.signal')].some(panel => panel.dataset.gaps > 0)")
+        process.process.send_signal(signal.SIGINT)
+        browser.wait("document.querySelector('#status a')?.textContent === 'report'")
+        assert browser.value("document.getElementById('status').textContent").startswith("the session has ended")
+        assert browser.complaints == []
+        assert re.search(r"kinegraph view recordings/treadmill_emg-\S+", process.said)
+        assert process.stop() == 0

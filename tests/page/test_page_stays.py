@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ import pytest
 
 from kinegraph.devices.page.hub import Hub, Looking
 from kinegraph.devices.page.transfer.wire import decode
-from tests.support.page_session import needs_page, page_process, see, until
+from tests.support.page_session import a_terminal, needs_page, page_process, see, until
 
 pytestmark = needs_page
 
@@ -52,10 +51,8 @@ def graph(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def terminal() -> Iterator[int]:
-    ours, theirs = os.openpty()
-    yield theirs
-    os.close(ours)
-    os.close(theirs)
+    with a_terminal() as there:
+        yield there
 
 
 def test_on_a_terminal_the_page_stays_with_the_report_until_ctrl_c(graph: Path, terminal: int) -> None:

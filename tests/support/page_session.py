@@ -7,9 +7,10 @@ import os
 import re
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit, urlunsplit
@@ -107,6 +108,26 @@ def page_process(
         finally:
             if process.poll() is None:
                 process.kill()
+
+
+@contextmanager
+def a_terminal() -> Iterator[int]:
+    """A terminal that shows what is written to it, to nobody."""
+    ours, theirs = os.openpty()
+
+    def show() -> None:
+        with suppress(OSError):  # the last program has left it
+            while os.read(ours, 65536):
+                pass
+
+    thread = threading.Thread(target=show, daemon=True)
+    thread.start()
+    try:
+        yield theirs
+    finally:
+        os.close(theirs)
+        thread.join(5)
+        os.close(ours)
 
 
 def see(client: ClientConnection, *, width_ns: int = 0) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from importlib.metadata import entry_points
 from math import isfinite
@@ -107,8 +107,14 @@ def conduct(
     view: str = "auto",
     simulate: bool = False,
     pages: Sequence[SessionPage] = (),
+    begun: Callable[[], None] | None = None,
+    farewell: Sequence[str] = (),
 ) -> NoReturn:
-    """Run a session from start to end, with its view and its console, and exit with its code."""
+    """Run a session from start to end, with its view and its console, and exit with its code.
+
+    begun      called when the pages are served, before anything compiles
+    farewell   further lines for the end of a session that was recorded
+    """
     from kinegraph.stream.cli.commands.console import Console
     from kinegraph.stream.cli.commands.ending import Ending
     from kinegraph.stream.engine.session import Session
@@ -126,12 +132,16 @@ def conduct(
             served = shown.enter_context(ExitStack())
             for page in pages:
                 served.enter_context(page)
+            if begun:
+                begun()
             shown.enter_context(Console(session).listening())
             shown.enter_context(screen)
             outcome = session.run()
-            stays = bool(pages) and not duration_s and _on_terminal() and session.asked_by in ("", "SIGINT")
+            stays = bool(pages) and not duration_s and on_terminal() and session.asked_by in ("", "SIGINT")
             served = served.pop_all() if stays else served
     _tell_end(outcome)
+    for line in farewell if _is_recorded(outcome) else ():
+        say(line, err=True)
     if stays:
         with served, suppress(Interrupted):
             for page in pages:
@@ -141,7 +151,7 @@ def conduct(
     _leave(outcome.exit_code)
 
 
-def _on_terminal() -> bool:
+def on_terminal() -> bool:
     """Whether a person is there to end what stays."""
     return bool(sys.stdin and sys.stdin.isatty() and sys.stdout.isatty())
 
@@ -202,6 +212,11 @@ def page_of(graph: Graph, *address: str, name: str = "page", **more: str | Path 
     raise KinegraphError("no page is installed: `pip install kinegraph` has one")
 
 
+def _is_recorded(outcome: Outcome) -> bool:
+    """Whether a recording is left: one that is `rolling` is not."""
+    return bool(outcome.folder and any(outcome.folder.glob("*.mcap")))
+
+
 def _tell_end(outcome: Outcome) -> None:
     say(f"session of {outcome.seconds:.1f} s ended{'' if outcome.error is None else ' with an error'}", err=True)
     for name, row in outcome.table.items():
@@ -214,7 +229,7 @@ def _tell_end(outcome: Outcome) -> None:
         say(f"not delivered: {name}: {why}", err=True)
     for node, file in outcome.files.items():
         say(f"{node}: {file}", err=True)
-    if outcome.folder and any(outcome.folder.glob("*.mcap")):
+    if _is_recorded(outcome):
         say(f"recording: {outcome.folder}", err=True)
     if outcome.error:
         say(f"kinegraph: {outcome.error}", err=True)
