@@ -1,4 +1,4 @@
-"""Xsens MT Manager's text exports: lines of facts behind //, then a table of one sensor."""
+"""Xsens MT Manager's text exports: lines of facts behind //, then a table of one sensor; and those of Movella DOT, without facts."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from kinegraph.devices.formats.import_result import Asked, RateMissing, Understood
-from kinegraph.devices.formats.lab.text_lines import TextLines
-from kinegraph.devices.formats.timing import lost_by_counter
+from kinegraph.devices.formats.lab.text_lines import TextLines, separator_of
+from kinegraph.devices.formats.timing import lost_by_counter, snapped
 from kinegraph.stream.chunk import Samples
 
 NO_SIGNAL = (
@@ -31,18 +31,19 @@ KINDS = (
     ("gyr", r"^Gyr_[XYZ]$", "rad/s"),
     ("mag", r"^Mag_[XYZ]$", ""),
     ("quat", r"^Quat_(q[0-3]|[wxyz])$", ""),
-    ("euler", r"^(Roll|Pitch|Yaw)$", "deg"),
+    ("euler", r"^(Roll|Pitch|Yaw|Euler_[XYZ])$", "deg"),
     ("mat", r"^Mat\[\d\]\[\d\]$", ""),
     ("vel_inc", r"^VelInc_[XYZ]$", "m/s"),
     ("ori_inc", r"^OriInc_q[0-3]$", ""),
 )
-FINE_HZ = 10_000
-"""SampleTimeFine counts tenths of a millisecond."""
+FINE_HZ, DOT_HZ = 10_000, 1_000_000
+"""SampleTimeFine counts tenths of a millisecond, or microseconds in files of Movella DOT, which have no lines of facts."""
 
 
 def knows(head: str) -> bool:
     """The first line that is no remark names a packet counter or a fine time."""
-    line = next((x for x in head.splitlines() if x.strip() and not x.startswith("//")), "")
+    lines = (x for x in head.splitlines() if x.strip() and not x.startswith("//") and not separator_of(x))
+    line = next(lines, "")
     return line.startswith(("PacketCounter", "SampleTimeFine"))
 
 
@@ -50,6 +51,11 @@ def read_mt_manager(path: Path, asked: Asked) -> Understood:
     """.acc, .gyr, .mag, .quat, .euler, .mat: of each as many columns as there are, in the file's order. Raises RecordingError."""
     text, at = TextLines.read(path, asked.skip_rows), asked.skip_rows
     made, facts = Understood(path, "Xsens MT Manager text"), {}
+    if text.lines[at : at + 1] and separator_of(text.lines[at]):
+        at += 1
+    is_dot = text.lines[at : at + 1] and not text.lines[at].startswith("//")
+    if is_dot:
+        made.kind = "Movella DOT table"
     while at < len(text.lines) and (text.lines[at].startswith("//") or not text.lines[at].strip()):
         key, colon, value = text.lines[at].lstrip("/").strip().partition(":")
         if colon:
@@ -70,7 +76,7 @@ def read_mt_manager(path: Path, asked: Asked) -> Understood:
         table = table[kept]
         if doubt:
             made.doubt(doubt)
-    rate = _rate(text, names, table, facts, asked)
+    rate = _rate(text, names, table, facts, asked, DOT_HZ if is_dot else FINE_HZ)
     meta = {"device_id": facts.get("deviceid", ""), "coordinate_system": facts.get("coordinate system", "")}
     taken = set()
     for part, pattern, unit in KINDS:
@@ -92,19 +98,21 @@ def read_mt_manager(path: Path, asked: Asked) -> Understood:
     return made
 
 
-def _rate(text: TextLines, names: list[str], table: Samples, facts: dict[str, str], asked: Asked) -> float:
+def _rate(
+    text: TextLines, names: list[str], table: Samples, facts: dict[str, str], asked: Asked, fine_hz: int
+) -> float:
     told = re.match(r"([\d.]+)\s*Hz", facts.get("update rate", ""))
-    rate = float(told[1]) if told else _by_fine_time(names, table) or asked.rate_hz
+    rate = float(told[1]) if told else _by_fine_time(names, table, fine_hz) or asked.rate_hz
     if not rate:
         raise RateMissing(f"{text.path}: it holds neither an update rate nor times; give --rate HZ")
     return rate
 
 
-def _by_fine_time(names: list[str], table: Samples) -> float:
+def _by_fine_time(names: list[str], table: Samples, fine_hz: int) -> float:
     if "SampleTimeFine" not in names:
         return 0.0
     fine = table[:, names.index("SampleTimeFine")]
     steps = np.diff(fine)
     if len(steps) < 2 or not np.isfinite(fine).all() or np.median(steps) <= 0:
         return 0.0
-    return FINE_HZ / float(np.median(steps))
+    return snapped(fine_hz / float(np.median(steps)))

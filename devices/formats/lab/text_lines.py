@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.errors import RecordingError
@@ -93,6 +95,31 @@ class TextLines:
                 out[i, : len(cells)] = [self.number(start + i, cell, comma=comma) for cell in cells]
         return out
 
+    def columns(self, start: int, delimiter: str, width: int, wanted: Sequence[int], *, comma: bool = False) -> Samples:
+        """The numbers (n, width) of the lines from `start` on, of the wanted columns only; all others are NaN, whatever they hold.
+
+        Cells behind the last column must be blank. Raises RecordingError.
+        """
+        lines = self.lines[start:]
+        out = np.full((len(lines), width), np.nan)
+        for i, line in enumerate(lines):
+            cells = line.split(delimiter)
+            if len(cells) != width:
+                cells = self._trimmed(start + i, cells, width, ragged=False)
+            for k in wanted:
+                out[i, k] = self.number(start + i, cells[k], comma=comma)
+        return out
+
+    def integers(self, start: int, delimiter: str, column: int) -> NDArray[np.int64]:
+        """The whole numbers of a column of the lines from `start` on, exactly. Raises RecordingError."""
+        made = np.empty(len(self.lines) - start, np.int64)
+        for i, line in enumerate(self.lines[start:]):
+            cell = line.split(delimiter)[column].strip() if line.count(delimiter) >= column else ""
+            if not cell.lstrip("-").isdigit() or len(cell) > 18:
+                raise self.wrong(start + i, f"{cell!r} is not a whole number")
+            made[i] = int(cell)
+        return made
+
     def _trimmed(self, at: int, cells: list[str], width: int, *, ragged: bool) -> list[str]:
         if any(cell.strip() for cell in cells[width:]) or (len(cells) < width and not ragged):
             raise self.wrong(at, f"{len(cells)} cells, where there are {width} columns; was the file cut off here?")
@@ -124,6 +151,16 @@ def is_number(cell: str, *, comma: bool = True) -> bool:
 def delimiter_of(line: str, among: str = "\t;,") -> str:
     """Which of these stands most often in a line."""
     return max(among, key=line.count)
+
+
+def separator_of(line: str) -> str:
+    """The separator that a first line like "sep=;" names for spreadsheets; "" if it names none.
+
+    >>> separator_of('"sep=;"')
+    ';'
+    """
+    found = re.fullmatch(r'"?sep=(.)"?', line.strip(" \r\n"))
+    return found[1] if found else ""
 
 
 def filled(cells: Sequence[str], width: int) -> list[str]:
