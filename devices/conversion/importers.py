@@ -91,7 +91,13 @@ def _by_default(files: Sequence[Path], table: ColumnTable, options: ImportOption
         )
         if time and not options.of(options.time, file.stem):
             options.time[file.stem] = time
-        taken = {time, f"{file.stem}:{time}", f"{file.stem}:lost"}
+        text = [n for n in mine if table.columns[n].is_text and n != time]
+        if len(text) + bool(time) >= len(mine):
+            text = []  # whose own message says what is wrong
+        if text:
+            left = ", ".join(repr(n.partition(":")[2]) for n in text)
+            options.findings.doubts.append(f"{file.name}: {left}: text, not read")
+        taken = {time, f"{file.stem}:{time}", f"{file.stem}:lost", *text}
         options.streams[file.stem] = [
             n for n in mine if n not in taken and n.partition(":")[2] not in options.counter.values()
         ]

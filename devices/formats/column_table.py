@@ -237,7 +237,13 @@ def _timed(
 ) -> tuple[Times, float | None, Array | None]:
     column = shelf.part(named, f"--time {name}", near)
     _same_length(column.data, n, f"--time {name}")
+    if column.is_local and options.begin is None:
+        options.findings.doubts.append(
+            f"{column.file.name}: {named!r} holds times by a clock of an unknown time zone: taken for UTC (--start)"
+        )
     time = _times(options, name, named, column, rate)[kept]
+    if column.unit == "ns" and column.is_local and options.begin is not None:
+        time = time - time[:1]
     check_order(time, column.where, column.row, repeated=options.repeated)
     found = regular(time, rate)
     if found is None:

@@ -123,18 +123,29 @@ class Understood:
         keep = lost if lost.any() else None
         self.series.append(Series(self.name(part), _spec(data, rate, **facts), stamps, data, keep))
 
-    def add_events(self, part: str, seconds: Sequence[float], texts: Sequence[str] | None = None, **meta: Any) -> None:
-        """Events at `seconds`, with a text each if there are any."""
+    def add_events(
+        self,
+        part: str,
+        seconds: Sequence[float],
+        texts: Sequence[str] | None = None,
+        lengths: Sequence[float] | None = None,
+        **meta: Any,
+    ) -> None:
+        """Events at `seconds`, with a text each if there are any, and with an `end` where lengths (s) are known."""
         order = sorted(range(len(seconds)), key=lambda i: seconds[i])
         onset = np.array([round(seconds[i] * NS) for i in order], np.int64)
         width = max((len(text) for text in texts or ()), default=0) or 1
-        dtype = np.dtype([("onset", "<i8")] if texts is None else [("onset", "<i8"), ("text", f"<U{width}")])
-        data = np.empty(len(onset), dtype)
+        fields = [("onset", "<i8")]
+        fields += [("end", "<i8")] if lengths is not None else []
+        fields += [("text", f"<U{width}")] if texts is not None else []
+        data = np.empty(len(onset), np.dtype(fields))
         data["onset"] = onset
+        if lengths is not None:
+            data["end"] = onset + np.array([round(lengths[i] * NS) for i in order], np.int64)
         if texts is not None:
             data["text"] = [texts[i] for i in order]
-        units = ("ns",) if texts is None else ("ns", "")
-        self.series.append(Series(self.name(part), StreamSpec((), dtype, units=units, meta=meta), onset, data))
+        units = tuple("" if name == "text" else "ns" for name, _ in fields)
+        self.series.append(Series(self.name(part), StreamSpec((), data.dtype, units=units, meta=meta), onset, data))
 
     def local_time(self, moment: datetime | None) -> None:
         """When time 0 was; one without a zone is taken for UTC, and doubted."""

@@ -5,27 +5,50 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
-from kinegraph.stream.chunk import Array
+from kinegraph.stream.chunk import NS, Array
 from kinegraph.stream.data.bounded import arrays, reading
 from kinegraph.stream.errors import KinegraphError, RecordingError
 
 DELIMITERS = ",;\t|"
+REMARKS = ("#", "%", "//")
 
 
-@dataclass(slots=True)
 class FileColumn:
-    """An array of a file. `row` is what messages call its first row, e.g. 2 where line 1 of a CSV is the header."""
+    """An array of a file. `row` is what messages call its first row, e.g. 2 where line 1 of a CSV is the header.
 
-    data: Array
-    file: Path
-    row: int = 0
-    unit: str = ""
+    wrong     of a column that does not hold numbers only: the message for whoever asks for its data
+    is_text   whether no cell of it holds a number
+    is_local  whether it holds times by a clock of an unknown time zone
+    """
+
+    __slots__ = ("_data", "file", "is_local", "is_text", "row", "unit", "wrong")
+
+    def __init__(
+        self,
+        data: Array,
+        file: Path,
+        row: int = 0,
+        unit: str = "",
+        *,
+        wrong: str = "",
+        is_text: bool = False,
+        is_local: bool = False,
+    ) -> None:
+        self._data, self.file, self.row, self.unit = data, file, row, unit
+        self.wrong, self.is_text, self.is_local = wrong, is_text, is_local
+
+    @property
+    def data(self) -> Array:
+        """The numbers. Raises RecordingError where the file holds something else in their place."""
+        if self.wrong:
+            raise RecordingError(self.wrong)
+        return self._data
 
     @property
     def where(self) -> str:
@@ -41,9 +64,12 @@ def read_npz(path: Path) -> dict[str, FileColumn]:
 def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
     """The columns of a CSV file with a header line: names, with units in brackets ("emg [uV]").
 
-    The delimiter (comma, semicolon, tab or bar) is found in the header; with another one than a comma, numbers may have decimal commas.
-    Empty cells are NaN; lines before the header that begin with # are skipped, and the first `skip_rows` whatever they hold; after these
-    the header may be missing (then the columns are column1, column2, ...). A line of units may follow the header.
+    The delimiter (comma, semicolon, tab or bar) is named by a first line "sep=;", or found in the header; with another one than a comma,
+    numbers may have decimal commas. Empty cells are NaN; lines before the header that begin with #, % or // are skipped, and the first
+    `skip_rows` whatever they hold; after these the header may be missing (then the columns are column1, column2, ...). A line of units may
+    follow the header; all lines may end with a separator; of names that occur twice the later ones are numbered.
+    A column of dates and times holds ns since 1970 (those without a zone by UTC, `is_local`); one of times of day ns since midnight.
+    A column that holds text instead raises where its `data` are asked for, and has `is_text`.
     Raises RecordingError with file and line.
     """
     text = read_text(path, "CSV")
@@ -51,12 +77,19 @@ def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
         raise RecordingError(f"{path}: holds zero bytes; it is not text, or was damaged")
     lines = text.split("\n")
     skip = skip_rows or 0
-    at = next((i for i, line in enumerate(lines) if i >= skip and line.strip() and not line.startswith("#")), None)
+    named = re.fullmatch(r'"?sep=(.)"?', lines[0].rstrip("\r"))
+    if named:
+        lines[0] = "#"
+    at = next((i for i, line in enumerate(lines) if i >= skip and line.strip() and not line.startswith(REMARKS)), None)
     if at is None:
         raise RecordingError(f"{path}: the file is empty")
     if _by_spaces(lines, at):
         lines = ["\t".join(line.split()) for line in lines]
-    delimiter = max(DELIMITERS, key=lines[at].count)
+    while not lines[-1].strip():
+        lines.pop()
+    delimiter = named[1] if named else max(DELIMITERS, key=lines[at].count)
+    if all(line.rstrip().endswith(delimiter) for line in lines[at:]):
+        lines = [line.rstrip()[:-1] if i >= at else line for i, line in enumerate(lines)]
     header = [name.strip() for name in next(csv.reader([lines[at]], delimiter=delimiter))]
     headless = skip_rows is not None and all(not name or _is_number(name) for name in header)
     if headless:
@@ -72,22 +105,31 @@ def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
         raise RecordingError(
             f"{path}: line {at + 1}: every column needs a name of its own; number {', '.join(nameless)} has none"
         )
-    if twice := sorted(name for name, count in Counter(name for name, _ in names).items() if count > 1):
-        raise RecordingError(
-            f"{path}: line {at + 1}: every column needs a name of its own beside its unit;"
-            f" {', '.join(map(repr, twice))} appears more than once"
-        )
-    while not lines[-1].strip():
-        lines.pop()
+    names = _numbered(names)
     if units := _units(lines, at + 1, delimiter, len(names)):
         names = [(name, unit or told) for (name, unit), told in zip(names, units, strict=True)]
         at += 1
     data = _fast(lines[at + 1 :], delimiter, len(names))
     if data is None:
-        data = _careful(path, lines, at + 1, delimiter, header)
+        return _careful(path, lines, at + 1, delimiter, header, names)
     return {
         name: FileColumn(np.ascontiguousarray(data[:, i]), path, at + 2, unit) for i, (name, unit) in enumerate(names)
     }
+
+
+def _numbered(names: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Names and units, in which a name that occurs again has its number: x, x_2."""
+    made: list[tuple[str, str]] = []
+    taken = {name for name, _ in names}
+    seen: Counter[str] = Counter()
+    for name, unit in names:
+        seen[name] += 1
+        again = name
+        while seen[name] > 1 and again in taken:
+            again = f"{name}_{seen[name]}" if again == name else f"{again}_"
+        taken.add(again)
+        made.append((again, unit))
+    return made
 
 
 def read_rows(path: Path) -> Array | None:
@@ -184,37 +226,76 @@ def _fast(body: list[str], delimiter: str, columns: int) -> Array | None:
     return data if data.shape[1] == columns else None
 
 
-def _careful(path: Path, lines: list[str], start: int, delimiter: str, header: list[str]) -> Array:
-    """Cell by cell: decimal commas, empty cells, and the line of whatever is no number."""
-    rows = list(_rows(path, lines, start, delimiter, header))
-    return np.array(rows).reshape(len(rows), len(header))
-
-
-def _rows(path: Path, lines: list[str], start: int, delimiter: str, header: list[str]) -> Iterator[list[float]]:
+def _careful(
+    path: Path, lines: list[str], start: int, delimiter: str, header: list[str], names: list[tuple[str, str]]
+) -> dict[str, FileColumn]:
+    """Cell by cell: decimal commas, empty cells, times of day, and the line of whatever is no number."""
+    rows: list[list[str]] = []
     for number, line in enumerate(lines[start:], start + 1):
         cells = next(csv.reader([line], delimiter=delimiter), [])
         if len(cells) != len(header):
             raise RecordingError(
                 f"{path}: line {number}: {len(cells)} cells, but the header names {len(header)} columns"
             )
+        rows.append(cells)
+    columns = zip(*rows, strict=True) if rows else ((),) * len(names)
+    made = {}
+    for (name, unit), label, cells in zip(names, header, columns, strict=True):
+        made[name] = _column(cells, FileColumn(np.empty(0), path, start + 1, unit), label, delimiter)
+    return made
+
+
+def _column(cells: Sequence[str], made: FileColumn, label: str, delimiter: str) -> FileColumn:
+    """One column of cells: numbers, or times, or text of which the first line is named."""
+    values = np.full(len(cells), np.nan)
+    wrong: list[int] = []
+    for i, cell in enumerate(cells):
         try:
-            yield [_value(cell, delimiter) for cell in cells]
+            values[i] = _value(cell, delimiter)
         except ValueError:
-            i = next(i for i, cell in enumerate(cells) if not _reads(cell, delimiter))
-            raise RecordingError(
-                f"{path}: line {number}: {cells[i]!r} in column {header[i]!r} is not a number"
-            ) from None
+            wrong.append(i)
+    if not wrong:
+        return FileColumn(values, made.file, made.row, made.unit)
+    if len(wrong) == len(cells) and (times := moments(cells)) is not None:
+        return FileColumn(times[0], made.file, made.row, "ns", is_local=times[1])
+    line = made.row + wrong[0]
+    text = f"{made.file}: line {line}: {cells[wrong[0]]!r} in column {label!r} is not a number"
+    filled = sum(1 for cell in cells if cell.strip())
+    return FileColumn(values, made.file, made.row, made.unit, wrong=text, is_text=len(wrong) == filled)
+
+
+def moments(cells: Sequence[str]) -> tuple[Array, bool] | None:
+    """Dates and times (ISO 8601), or times of day, as whole ns, and whether they are without a zone; None for anything else.
+
+    Times of day count from the midnight before the first of them, also across another midnight.
+    """
+    dated = [
+        re.fullmatch(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:?\d\d)?", c.strip())
+        for c in cells
+    ]
+    if all(dated):
+        made = np.empty(len(cells), np.int64)
+        for i, found in enumerate(dated):
+            assert found is not None
+            moment = datetime.fromisoformat(f"{found[1]}T{found[2]}{found[4] or '+00:00'}")
+            made[i] = round(moment.timestamp()) * NS + int((found[3] or "0").ljust(9, "0"))
+        return made, not all(found and found[4] for found in dated)
+    clock = [re.fullmatch(r"(\d{1,2}):(\d\d):(\d\d)(?:[.,](\d{1,9}))?", c.strip()) for c in cells]
+    if not all(clock):
+        return None
+    made = np.array(
+        [
+            (int(c[1]) * 3600 + int(c[2]) * 60 + int(c[3])) * NS + int((c[4] or "0").ljust(9, "0")) if c else 0
+            for c in clock
+        ],
+        np.int64,
+    )
+    day = 24 * 3600 * NS
+    made[1:] += day * np.cumsum(np.diff(made) < -day // 2)
+    return made, True
 
 
 def _value(cell: str, delimiter: str) -> float:
     if not cell.strip():
         return np.nan
     return float(cell if delimiter == "," else cell.replace(",", "."))
-
-
-def _reads(cell: str, delimiter: str) -> bool:
-    try:
-        _value(cell, delimiter)
-    except ValueError:
-        return False
-    return True

@@ -1,27 +1,23 @@
-"""EDF, EDF+ and BDF through edfio: signals by rate, annotations, the start with its fraction of a second."""
+"""EDF, EDF+ and BDF: signals by rate, with the pauses between their records; annotations; the start with its fraction of a second."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from kinegraph.devices.formats.edf.layout import HEAD, EdfFile, Signal, read_layout
 from kinegraph.devices.formats.import_result import Asked, Understood
+from kinegraph.stream.chunk import NS, Array
 from kinegraph.stream.errors import RecordingError
 
-HEAD = 256
-FIELDS = (
-    (0, 8, "version"),
-    (184, 192, "header's length"),
-    (236, 244, "number of records"),
-    (244, 252, "record's length"),
-    (252, 256, "number of signals"),
-)
 STATUS = re.compile(r"^(BDF )?(Status|Trigger)$", re.IGNORECASE)
+MONTHS = ["JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC"]
+SNAP_NS = 1_000
+"""Records whose times are this close to the end of the record before follow it without a pause."""
 
 
 def knows(head: bytes) -> bool:
@@ -30,108 +26,93 @@ def knows(head: bytes) -> bool:
 
 def read_edf(path: Path, asked: Asked) -> Understood:
     """.signals (with several rates .signals_100hz, ...), .status of a BDF file, .annotations. Raises RecordingError with the reason."""
-    import edfio
-
-    with path.open("rb") as file:
-        head = file.read(HEAD)
-        size = path.stat().st_size
-        _check(path, head, size, file.read(int(head[252:256]) * HEAD if head[252:256].strip().isdigit() else 0))
-    bdf = head[0] == 0xFF
-    try:
-        opened: Any = edfio.read_bdf(path) if bdf else edfio.read_edf(path)
-    except (ValueError, LookupError, TypeError, ArithmeticError) as error:
-        raise RecordingError(
-            f"{path}: breaks the rules of {'BDF' if bdf else 'EDF'} ({' '.join(str(error).split())})"
-        ) from None
-    reserved = head[192:236].decode("latin-1").strip()
-    if reserved.startswith(("EDF+D", "BDF+D")):
-        raise RecordingError(
-            f"{path}: is discontinuous ({reserved[:5]}): records with pauses between them, which are not read; save it as EDF+C"
-        )
-    made = Understood(path, f"{'BDF' if bdf else 'EDF'}{'+' if reserved[3:4] == '+' else ''}")
-    _facts(made, opened, plus=reserved[3:4] == "+")
-    by_rate: dict[float, list[Any]] = {}
-    for signal in opened.signals:
-        by_rate.setdefault(float(signal.sampling_frequency), []).append(signal)
+    file = read_layout(path)
+    made = Understood(path, file.kind, doubts=list(file.doubts))
+    begun = _begun(file, made)
+    if begun is not None:
+        made.local_time(begun)
+    if file.is_plus:
+        _person(file, made)
+    first = int(file.onsets[0]) if file.onsets is not None and len(file.onsets) else 0
+    lost_ns = _pauses(file, made)
+    by_rate: dict[float, list[Signal]] = {}
+    for signal in file.signals:
+        by_rate.setdefault(signal.digital.shape[1] / (file.record_ns / NS), []).append(signal)
     for rate, signals in by_rate.items():
         part = "signals" if len(by_rate) == 1 else f"signals_{rate:g}hz".replace(".", "_")
-        _signals(made, part, rate, signals, asked)
-    notes = list(opened.annotations)
-    if notes:
-        made.add_events("annotations", [float(note.onset) for note in notes], [str(note.text) for note in notes])
+        _signals(made, part, rate, signals, lost_ns, asked)
+    if file.annotations:
+        notes = file.annotations
+        onsets, texts = [(note.onset - first) / NS for note in notes], [note.text for note in notes]
+        lengths = [(note.length or 0) / NS for note in notes]
+        made.add_events("annotations", onsets, texts, lengths if any(lengths) else None)
     if not made.series:
         raise RecordingError(f"{path}: there are no samples in it")
     return made
 
 
-def _check(path: Path, head: bytes, size: int, rest: bytes) -> None:
-    """The header's own numbers, each with what stands there if it is none."""
-    told: dict[str, float] = {}
-    for start, stop, name in FIELDS[1:]:
-        text = head[start:stop].decode("latin-1").strip()
-        try:
-            told[name] = float(text)
-        except ValueError:
-            raise RecordingError(
-                f"{path}: breaks the rules of EDF: its {name} (bytes {start} to {stop - 1}) is {text!r}"
-            ) from None
-    count = int(told["number of signals"])
-    if len(rest) < count * HEAD or count < 1:
-        raise RecordingError(f"{path}: breaks the rules of EDF: {count} signals are announced, the header ends before")
-    samples = 0
-    for k in range(count):
-        at = count * 216 + 8 * k
-        text = rest[at : at + 8].decode("latin-1").strip()
-        if not text.isdigit():
-            raise RecordingError(
-                f"{path}: breaks the rules of EDF: the samples per record of signal {k + 1} are {text!r}"
-            )
-        samples += int(text)
-    record = samples * (3 if head[0] == 0xFF else 2)
-    records, body = told["number of records"], size - HEAD * (count + 1)
-    if records >= 0 and records * record > body:
+def _pauses(file: EdfFile, made: Understood) -> Array | None:
+    """How long the pause before each record is (ns); None where there is no pause."""
+    if file.onsets is None or not file.record_ns or not file.signals:
+        return None
+    pauses = np.diff(file.onsets) - file.record_ns
+    pauses[np.abs(pauses) <= SNAP_NS] = 0
+    if not pauses.any():
+        return None
+    if (pauses < 0).any():
+        at = int(np.flatnonzero(pauses < 0)[0])
         raise RecordingError(
-            f"{path}: {records:.0f} records are announced, {body // max(record, 1)} are there; the file was cut off"
+            f"{made.path}: record {at + 2} begins {-pauses[at] / NS:g} s before the record before it has ended"
         )
-    if (length := told["record's length"]) <= 0 and samples:
-        raise RecordingError(f"{path}: breaks the rules of EDF: a record lasts {length:g} s")
+    longest = float(pauses.max()) / NS
+    count = int((pauses > 0).sum())
+    if file.is_said_continuous:
+        made.doubt(
+            f"it says that it is continuous, but the times of its records leave {count} pauses (up to {longest:g} s): they are kept"
+        )
+    return np.concatenate([[0], pauses])
 
 
-def _facts(made: Understood, opened: Any, *, plus: bool) -> None:
-    """The start, and what is known of the person but the name and the day of birth."""
+def _begun(file: EdfFile, made: Understood) -> datetime | None:
+    """When the first record began, by the clock on the wall."""
+    day, _, clock = file.fields["date"], "", file.fields["time"]
     try:
-        moment: datetime = opened.startdatetime
-        made.local_time(moment)
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        made.doubt(f"when it began is not told ({error})")
-    if not plus:
-        return  # a free text, in which a name may stand
-    try:
-        patient = opened.patient
-        code, sex = str(patient.code), str(patient.sex)
-    except (ValueError, LookupError, TypeError, AttributeError):
-        return
+        moment = datetime.strptime(f"{day} {clock}".replace(":", ".").replace("-", "."), "%d.%m.%y %H.%M.%S")
+    except ValueError:
+        made.doubt(f"when it began is not stated (its date is {day!r}, its time {clock!r})")
+        return None
+    moment = moment.replace(year=moment.year % 100 + (1900 if moment.year % 100 >= 85 else 2000))
+    said = re.match(r"Startdate (\d{1,2})-([A-Z]{3})-(\d{4})\b", file.fields["recording"], re.IGNORECASE)
+    if file.is_plus and said and said[2].upper() in MONTHS:
+        moment = moment.replace(year=int(said[3]), month=MONTHS.index(said[2].upper()) + 1, day=int(said[1]))
+    first = int(file.onsets[0]) if file.onsets is not None and len(file.onsets) else 0
+    return moment + timedelta(microseconds=first // 1000)
+
+
+def _person(file: EdfFile, made: Understood) -> None:
+    """The code and the sex, not the name and the day of birth."""
+    code, sex, *_ = [*file.fields["patient"].split(), "X", "X"]
     if code.strip("X "):
         made.facts["subject"] = code
     if sex in ("F", "M"):
         made.facts["sex"] = sex
 
 
-def _signals(made: Understood, part: str, rate: float, signals: Sequence[Any], asked: Asked) -> None:
+def _signals(
+    made: Understood, part: str, rate: float, signals: Sequence[Signal], pauses: Array | None, asked: Asked
+) -> None:
     status = [signal for signal in signals if STATUS.match(signal.label)]
     for name, mine in (("status", status), (part, [signal for signal in signals if not STATUS.match(signal.label)])):
         if not mine:
             continue
-        data = np.stack([np.asarray(signal.data, np.float64) for signal in mine], axis=1)
-        labels = [str(signal.label) for signal in mine]
+        data = np.stack([signal.samples.reshape(-1) for signal in mine], axis=1)
+        labels = [signal.label for signal in mine]
         if len(set(labels)) < len(labels):
             made.doubt("labels stand there more than once; the later ones are numbered")
-        units = tuple(str(signal.physical_dimension) or asked.unit for signal in mine)
-        made.add(
-            name,
-            data,
-            rate,
-            channels=labels,
-            units=units,
-            meta={"prefilter": str(mine[0].prefiltering)} if mine[0].prefiltering else {},
-        )
+        lost = None
+        if pauses is not None:
+            lost = np.zeros(len(data), np.int64)
+            lost[:: mine[0].digital.shape[1]] = np.round(pauses * (rate / NS)).astype(np.int64)
+        units = tuple(signal.unit or ("" if signal.physical is None else asked.unit) for signal in mine)
+        meta = {"prefilter": mine[0].prefilter} if mine[0].prefilter else {}
+        made.add(name, data, rate, channels=labels, units=units, meta=meta, lost=lost)

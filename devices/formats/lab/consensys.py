@@ -34,7 +34,7 @@ def read_consensys(path: Path, asked: Asked) -> Understood:
         raise text.wrong(at + 1, "there is no column of calibrated times (Timestamp_Unix_CAL)")
     if units[clock] != "ms":
         raise text.wrong(at + 2, f"times are in {units[clock]!r}; only ms is known")
-    prefix = commonprefix(names).rpartition("_")[0]  # of one unit, "Shimmer_1234"
+    prefix = commonprefix(names).rpartition("_")[0]  # noqa: RUF071 - of one unit, "Shimmer_1234"
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(names):
         if "_Timestamp_" in name or not FORM.search(name) or _is_doubled(name, names):

@@ -57,6 +57,8 @@ def _placed(made: Understood, options: ImportOptions) -> list[Series]:
         if one.spec.is_event and "onset" in (one.spec.dtype.names or ()):
             one.data = one.data.copy()
             one.data["onset"] += begin
+            if "end" in (one.spec.dtype.names or ()):
+                one.data["end"] += begin
     return made.series
 
 
