@@ -42,6 +42,7 @@ def import_(
     repeated: argument.RepeatedTimes = False,
     text_width: argument.TextWidth = None,
     dejitter: argument.Dejitter = True,
+    claims: argument.ClaimPolicy = "warn",
     kinect: argument.KinectColumns = False,
     clock_sync: argument.ClockSync = True,
     untried: argument.UntriedFormats = False,
@@ -59,7 +60,7 @@ def import_(
     said = {"stream": stream, "events": events, "time": time, "time_unit": time_unit, "rate": rate, "counter": counter,
             "names": names, "unit": unit, "scale": scale, "meta": meta}  # fmt: skip
     options = options_of(said, start, repeated=repeated, text_width=text_width, dejitter=dejitter, clock_sync=clock_sync,
-                       skip_rows=skip_rows, preview=preview, untried=untried)  # fmt: skip
+                       skip_rows=skip_rows, preview=preview, untried=untried, claims=claims)  # fmt: skip
     facts = {key: value(text) for key, text in pairs("fact", fact, named=True).items()}
     if output is None and not preview:
         raise RecordingError(

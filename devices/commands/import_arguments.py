@@ -8,6 +8,7 @@ from typing import Annotated, TypeAlias
 import typer
 
 from kinegraph.devices.commands.import_options import Many
+from kinegraph.devices.formats.findings import Claims
 from kinegraph.devices.formats.importer import listed
 
 ImportedFiles: TypeAlias = Annotated[
@@ -79,9 +80,15 @@ RepeatedTimes: TypeAlias = Annotated[
 ]
 TextWidth: TypeAlias = Annotated[
     int | None,
-    typer.Option(min=1, max=4096, help="characters that a marker of an XDF file may have (default: as it has)"),
+    typer.Option(min=1, max=65536, help="characters that a marker of an XDF file may have (default: as it has)"),
 ]
 Dejitter: TypeAlias = Annotated[bool, typer.Option(help="XDF: remove the jitter of regular streams' times")]
+ClaimPolicy: TypeAlias = Annotated[
+    Claims,
+    typer.Option(
+        help="of a stream that is not as its file claims: warn of it, refuse the file, or use the measured rate"
+    ),
+]
 KinectColumns: TypeAlias = Annotated[bool, typer.Option(help="CSV: x, y and z of a skeleton's joints, as points")]
 ClockSync: TypeAlias = Annotated[bool, typer.Option(help="XDF: apply the clock offsets that were measured")]
 UntriedFormats: TypeAlias = Annotated[

@@ -8,6 +8,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from kinegraph.stream.errors import RecordingError
+from kinegraph.stream.graph.reading.yaml_lines import is_identifier
 
 if TYPE_CHECKING:
     from kinegraph.devices.formats.column_table import ImportOptions
@@ -66,7 +67,9 @@ def _meta(given: Many) -> dict[str, dict[str, Any]]:
 
 
 def value(text: str) -> str | int | float:
-    """A finite number where it is one, else the text."""
+    """A finite number where it is one that is spelt as one, else the text: 010 is an identifier."""
+    if is_identifier(text):
+        return text
     for kind in (int, float):
         try:
             number: int | float = kind(text)

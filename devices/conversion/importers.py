@@ -52,6 +52,8 @@ def _xdf(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[lis
             start_ns=options.begin,
             dejitter=options.dejitter,
             synchronize=options.clock_sync,
+            claims=options.claims,
+            doubts=options.findings.doubts,
         )
         for one in made:
             if facts := options.meta.get(one.name):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from kinegraph.devices.formats.findings import Findings
+from kinegraph.devices.formats.findings import Claims, Findings
 from kinegraph.devices.formats.timing import (
     MOST_HZ,
     MOST_NS,
@@ -93,6 +93,8 @@ class ImportOptions:
     dejitter: bool = True
     clock_sync: bool = True
     """Of XDF files: whether the jitter of regular streams' times is removed, and clock offsets are applied."""
+    claims: Claims = "warn"
+    """What is done where a file claims one thing and holds another: warn of it, refuse the file, or use what was measured."""
     skip_rows: int | None = None
     """Lines of text files before the header that are passed over; None: nobody said."""
     untried: bool = False

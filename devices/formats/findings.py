@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from kinegraph.devices.formats.import_result import Understood
+
+
+Claims = Literal["warn", "refuse", "measured"]
+"""What is done where a file claims one thing and holds another: warn of it, refuse the file, or use what was measured."""
 
 
 @dataclass(slots=True)

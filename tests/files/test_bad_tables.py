@@ -27,7 +27,7 @@ TABLES: list[tuple[str | bytes, str]] = [
     ("time,a\n0,1\n,2\n", "line 3: 't:time' holds no time"),
     ("time,a\n0,1\n1e300,2\n", "line 3: 't:time' holds no time"),
     ("time,a\n0,x\n", "line 2: 'x' in column 'a' is not a number"),
-    ("time,a,a\n0,1,2\n", "every column needs a name of its own"),
+    ("time,a,\n0,1,2\n", "every column needs a name of its own"),
     ("time\n0\n1\n", "no column for it beside the time"),
     ("a,b\n1,2\n", "when its samples were taken is not known"),
     (bytes(2000), "zero bytes"),

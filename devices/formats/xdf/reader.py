@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from typing import Any
 import numpy as np
 import structlog
 
-from kinegraph.devices.formats.timing import MOST_NS
-from kinegraph.stream.chunk import NS, Array, StreamSpec, Times
+from kinegraph.devices.formats.findings import Claims
+from kinegraph.devices.formats.timing import MOST_NS, snapped
+from kinegraph.stream.chunk import NS, Array, Samples, StreamSpec, Times
 from kinegraph.stream.data.bounded import check_gzip, reading
 from kinegraph.stream.data.columns import assemble
 from kinegraph.stream.errors import RecordingError, nearest
@@ -34,7 +36,13 @@ UNITS = {
 """Units as LSL's metadata conventions spell them, and as we do."""
 log = structlog.get_logger(__name__)
 
-TEXT_WIDTH, MOST_TEXT = 64, 4096
+EPOCH_S = 86_400.0
+"""Streams of one recording that lie further apart than this were stamped by clocks that count from different years."""
+JITTER_S = 0.5
+"""By more than this no stamp is wrong because a computer was late."""
+WRONG, LEAST_SAMPLES = 0.01, 50
+"""By this share a declared rate may be off; measured on this many samples at least."""
+TEXT_WIDTH, MOST_TEXT = 64, 1 << 16
 """Characters that a string marker has room for: at least the first, where nobody asks for a number, and never more than the second."""
 
 
@@ -46,17 +54,35 @@ def read_xdf(
     start_ns: int | None = None,
     dejitter: bool = True,
     synchronize: bool = True,
+    claims: Claims = "warn",
+    doubts: list[str] | None = None,
 ) -> list[Series]:
     """The streams of an XDF file, or the chosen ones: {our name: the name in the file, or name/type where that is ambiguous}.
 
     `start_ns` is when the first sample was (ns UTC). Without it, times are those that kinegraph's own export wrote down, or
     else begin at the file's date. String streams become events with the fields `onset` and `text` (at most
-    `text_width` characters; None: as long as they are).
+    `text_width` characters; None: as long as they are). What a stream claims and does not hold to is added to `doubts`, or as `claims` has it.
     Raises RecordingError.
     """
     with reading(path, "an XDF file"):
-        found, head = _load(path, dejitter=dejitter, synchronize=synchronize)
-        return _chosen(path, found, head, streams, text_width, start_ns)
+        told = Doubts(path, claims, doubts if doubts is not None else [])
+        found, head = _load(path, dejitter=dejitter, synchronize=synchronize, told=told)
+        return _chosen(path, found, head, streams, text_width, start_ns, told)
+
+
+@dataclass(frozen=True, slots=True)
+class Doubts:
+    """Where findings of a file go. `claims`: what is done with them."""
+
+    path: Path
+    claims: Claims
+    texts: list[str]
+
+    def find(self, text: str) -> None:
+        """A claim that does not hold. Raises RecordingError where such files are refused."""
+        if self.claims == "refuse":
+            raise RecordingError(f"{self.path}: {text}")
+        self.texts.append(f"{self.path.name}: {text}")
 
 
 def _chosen(
@@ -66,6 +92,7 @@ def _chosen(
     streams: dict[str, str],
     text_width: int | None,
     start_ns: int | None,
+    told: Doubts,
 ) -> list[Series]:
     found = [s for s in found if int(s["info"]["channel_count"][0]) > 0]
     named = _named(found)
@@ -73,12 +100,53 @@ def _chosen(
     for name in chosen.values():
         if name not in named:
             raise RecordingError(f"{path}: there is no stream {name!r} in this file; {nearest(name, named)}")
-    picked = {name: named[key] for name, key in chosen.items()}
+    picked = _readable(path, {name: named[key] for name, key in chosen.items()}, told)
     anchor = _anchor(path, list(picked.values()), head, start_ns)
-    return [_series(path, name, stream, anchor, text_width) for name, stream in picked.items()]
+    return [_series(name, stream, anchor, text_width, told) for name, stream in picked.items()]
 
 
-def _load(path: Path, *, dejitter: bool, synchronize: bool) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
+def _readable(path: Path, streams: dict[str, dict[str, Any]], told: Doubts) -> dict[str, dict[str, Any]]:
+    """The streams whose stamps are times of one epoch, that of most samples; the others are left out by name."""
+    bad = {n for n, s in streams.items() if not (np.abs(np.asarray(s["time_stamps"], float)) <= MOST_NS / NS).all()}
+    if bad and len(bad) == len(streams):
+        raise RecordingError(f"{path}: stream {min(bad)!r} holds times that are not numbers; the file is damaged")
+    for name in sorted(bad):
+        told.find(f"stream {name!r} is left out: it holds times that are not numbers")
+    timed = {n: s for n, s in streams.items() if n not in bad and len(s["time_stamps"])}
+    main = max(timed.values(), key=lambda s: (bool(_declared(s)), len(s["time_stamps"])), default=None)
+    for name, stream in timed.items():
+        assert main is not None
+        first, last = float(np.min(stream["time_stamps"])), float(np.max(stream["time_stamps"]))
+        apart = max(first - float(np.max(main["time_stamps"])), float(np.min(main["time_stamps"])) - last)
+        if apart > EPOCH_S:
+            bad.add(name)
+            told.find(
+                f"stream {name!r} is left out: its times are of another epoch, from {first:.0f} s on, where "
+                f"{main['info']['name'][0]!r} begins at {float(np.min(main['time_stamps'])):.0f} s; read it alone with --stream"
+            )
+    return {name: stream for name, stream in streams.items() if name not in bad}
+
+
+def _declared(stream: dict[str, Any]) -> float:
+    return float(_text(stream["info"], "nominal_srate") or 0.0)
+
+
+def _measured(seconds: Samples, declared: float) -> float | None:
+    """The rate at which samples come, where it is not the declared one; None where it is, or is explained by lost samples."""
+    if len(seconds) < LEAST_SAMPLES:
+        return None
+    stride = min(len(seconds) // 4, 50)
+    long = float(np.median(seconds[stride:] - seconds[:-stride])) / stride
+    steps = np.diff(seconds)
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if long <= 0 or abs(1.0 / long - declared) <= WRONG * declared or abs(usual * declared - 1.0) <= WRONG:
+        return None
+    return snapped(1.0 / long)
+
+
+def _load(
+    path: Path, *, dejitter: bool, synchronize: bool, told: Doubts
+) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
     import pyxdf
 
     if not path.is_file():
@@ -95,7 +163,12 @@ def _load(path: Path, *, dejitter: bool, synchronize: bool) -> tuple[list[dict[s
     logger.propagate = False
     logger.addHandler(complaints)
     try:
-        streams, head = pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=dejitter)
+        streams, head = pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=False)
+        if dejitter:
+            even, _ = pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=True)
+            streams = [_evened(raw, other, told) for raw, other in zip(streams, even, strict=True)]
+    except RecordingError:
+        raise
     except Exception as error:  # noqa: BLE001 - of a damaged file pyxdf raises whatever comes up
         raise RecordingError(f"{path}: cannot be read as an XDF file ({type(error).__name__}: {error})") from None
     finally:
@@ -103,6 +176,21 @@ def _load(path: Path, *, dejitter: bool, synchronize: bool) -> tuple[list[dict[s
     if complaints.texts or any("footer" not in stream for stream in streams):
         log.warning("the XDF file was cut off, or is damaged: what could be read is imported", file=str(path))
     return streams, head
+
+
+def _evened(raw: dict[str, Any], even: dict[str, Any], told: Doubts) -> dict[str, Any]:
+    """The stream with even stamps, unless evening would move samples by more than jitter does."""
+    before, after = np.asarray(raw["time_stamps"], float), np.asarray(even["time_stamps"], float)
+    if not len(before) or not np.isfinite(before).all() or not _declared(raw):
+        return even
+    moved = float(np.abs(after - before).max())
+    if moved <= JITTER_S:
+        return even
+    told.find(
+        f"stream {raw['info']['name'][0]!r}: its stamps are not evened out, which would move samples by {moved:.1f} s: they leap, or blocks "
+        "of them are out of order; they are kept, in the order of time"
+    )
+    return raw
 
 
 class _Complaints(logging.Handler):
@@ -148,11 +236,9 @@ def _anchor(path: Path, streams: Sequence[dict[str, Any]], head: dict[str, Any] 
     return round(moment.timestamp()) * NS - first
 
 
-def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_width: int | None) -> Series:
+def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | None, told: Doubts) -> Series:
     info = stream["info"]
     seconds = np.asarray(stream["time_stamps"], np.float64)
-    if not (np.abs(seconds) <= MOST_NS / NS).all():
-        raise RecordingError(f"{path}: stream {name!r} holds times that are not numbers; the file is damaged")
     time = np.round(seconds * NS).astype(np.int64) + anchor
     order = np.argsort(time, kind="stable")
     time = time[order]
@@ -162,9 +248,16 @@ def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_wid
     channels = _channel_facts(info)
     meta = {"xdf_type": _text(info, "type"), "source_id": _text(info, "source_id")}
     if _text(info, "channel_format") == "string":
-        return _markers(path, name, stream, time, order, [label for label, _ in channels], meta, text_width)
+        return _markers(told.path, name, stream, time, order, [label for label, _ in channels], meta, text_width)
     data = np.ascontiguousarray(np.asarray(stream["time_series"])[order])
-    rate = float(_text(info, "nominal_srate") or 0.0)
+    rate = _declared(stream)
+    measured = _measured(seconds[order], rate) if rate else None
+    if measured is not None:
+        told.find(
+            f"stream {name!r} declares {rate:g} Hz, its samples come at {measured:g} Hz: filters would be off by a factor of "
+            f"{rate / measured:.3g}; nothing is called lost; read it at its own rate with --claims measured"
+        )
+        rate = measured if told.claims == "measured" else rate
     labels = tuple(label for label, _ in channels)
     spec = StreamSpec(
         shape=data.shape[1:],
@@ -174,7 +267,8 @@ def _series(path: Path, name: str, stream: dict[str, Any], anchor: int, text_wid
         units=_units([unit for _, unit in channels]),
         meta=meta,
     )
-    return Series(name, spec, time, data, _lost(time, rate) if rate else None)
+    believed = rate and (measured is None or told.claims == "measured")
+    return Series(name, spec, time, data, _lost(time, rate) if believed else None)
 
 
 def _ours(name: str, spec_json: str, stream: dict[str, Any], time: Times, order: Array) -> Series | None:

@@ -245,7 +245,7 @@ class _Loading:
         """What the graph says about the session: anything that JSON can hold."""
         facts: dict[str, Any] = {}
         for key, at in self._section(top, "session").items():
-            facts[key] = at.plain()
+            facts[key] = at.fact()
             try:
                 json.dumps(facts[key], allow_nan=False)
             except ValueError:

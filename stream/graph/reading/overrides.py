@@ -30,7 +30,8 @@ def read(settings: Iterable[str]) -> dict[str, Any]:
         if name in found:
             raise KinegraphError(f"--set {name} is given twice")
         try:
-            found[name.strip()] = parse(value, "").plain()
+            read_value = parse(value, "")
+            found[name.strip()] = read_value.fact() if name.startswith("session.") else read_value.plain()
         except GraphError as error:
             raise KinegraphError(f"--set {setting}: {error}") from None
     return found

@@ -38,13 +38,23 @@ NESTED = "lists and mappings are nested too deeply; no graph needs more than a f
 class Located:
     """A value and the line of its name (of itself, in a list); `origin` is where it stands if not in the file.
 
-    `file` is the file of a part, empty for the graph's own.
+    `file` is the file of a part, empty for the graph's own; `written` is a number as the file spells it.
     """
 
     value: Scalar | list[Located] | dict[str, Located]
     line: int
     origin: str = ""
     file: str = ""
+    written: str = ""
+
+    def fact(self) -> Any:
+        """The value as a fact about a session: a number that is spelt as an identifier is (010, 1e3) stays the text that it is."""
+        if isinstance(self.value, list):
+            return [item.fact() for item in self.value]
+        if isinstance(self.value, dict):
+            return {name: item.fact() for name, item in self.value.items()}
+        is_number = isinstance(self.value, int | float) and not isinstance(self.value, bool)
+        return self.written if is_number and self.written and is_identifier(self.written) else self.value
 
     def plain(self) -> Any:
         """The value without its lines."""
@@ -73,6 +83,15 @@ class Located:
             case list():
                 return "a list"
         return "a mapping"
+
+
+def is_identifier(text: str) -> bool:
+    """Whether a number's spelling would be lost in reading it as a number: 010, +5, 1e3, 0x1F; not so 1.40 or 1.5e-3.
+
+    >>> is_identifier("010"), is_identifier("1.40")
+    (True, False)
+    """
+    return not re.fullmatch(r"-?(0|[1-9]\d*)(\.\d*([eE][+-]?\d+)?)?|-?\.\d+|[+-]?\.(inf|nan)", text, re.IGNORECASE)
 
 
 def locate(value: Any, line: int, origin: str = "") -> Located:
@@ -123,7 +142,7 @@ class _YamlReading:
         if len(self._open) > _DEEPEST:
             raise self._wrong(node, NESTED)
         if isinstance(node, ScalarNode):
-            return Located(self._scalar(node), line, file=self._file)
+            return Located(self._scalar(node), line, file=self._file, written=str(node.value))
         if str(node.tag) not in (_TAG + "map", _TAG + "seq"):
             raise self._wrong(node, f"the tag {node.tag!r} is refused; a graph holds plain values only")
         self._open.add(id(node))
