@@ -240,8 +240,8 @@ def _careful(
         rows.append(cells)
     columns = zip(*rows, strict=True) if rows else ((),) * len(names)
     made = {}
-    for (name, unit), label, cells in zip(names, header, columns, strict=True):
-        made[name] = _column(cells, FileColumn(np.empty(0), path, start + 1, unit), label, delimiter)
+    for (name, unit), label, column in zip(names, header, columns, strict=True):
+        made[name] = _column(column, FileColumn(np.empty(0), path, start + 1, unit), label, delimiter)
     return made
 
 

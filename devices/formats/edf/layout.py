@@ -45,7 +45,7 @@ ANNOTATIONS = ("EDF Annotations", "BDF Annotations")
 
 
 @dataclass(frozen=True, slots=True)
-class Signal:
+class RawSignal:
     """One signal. `digital` has the shape (records, samples per record)."""
 
     label: str
@@ -62,8 +62,8 @@ class Signal:
         if self.physical is None:
             return self.digital.astype(np.float64)
         gain = (self.physical[1] - self.physical[0]) / (self.range[1] - self.range[0])
-        made: Samples = (self.digital + (self.physical[1] / gain - self.range[1])) * gain
-        return made
+        offset = self.physical[1] / gain - self.range[1]
+        return (self.digital.astype(np.float64) + offset) * gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class EdfFile:
     is_bdf: bool
     fields: dict[str, str]
     record_ns: int = 0
-    signals: list[Signal] = field(default_factory=list)
+    signals: list[RawSignal] = field(default_factory=list)
     annotations: list[Annotation] = field(default_factory=list)
     onsets: NDArray[np.int64] | None = None
     doubts: list[str] = field(default_factory=list)
@@ -161,7 +161,7 @@ def _read_records(path: Path, made: EdfFile, whole: bytes, columns: dict[str, li
             made.signals.append(_signal(path, made, part, width, {name: column[k] for name, column in columns.items()}))
 
 
-def _signal(path: Path, made: EdfFile, part: NDArray[np.uint8], width: int, column: dict[str, str]) -> Signal:
+def _signal(path: Path, made: EdfFile, part: NDArray[np.uint8], width: int, column: dict[str, str]) -> RawSignal:
     if width == 2:
         digital = np.ascontiguousarray(part).view("<i2").astype(np.int32)
     else:
@@ -175,9 +175,9 @@ def _signal(path: Path, made: EdfFile, part: NDArray[np.uint8], width: int, colu
             f"{column['label']!r} has no range: digital {column['digital minimum']!r} to {column['digital maximum']!r} for "
             f"{column['physical minimum']!r} to {column['physical maximum']!r}; its raw numbers are read, without a unit"
         )
-        return Signal(column["label"], "", column["prefilter"], digital, None, (0, 0))
+        return RawSignal(column["label"], "", column["prefilter"], digital, None, (0, 0))
     physical = float(ends[0] or 0.0), float(ends[1] or 0.0)
-    return Signal(
+    return RawSignal(
         column["label"],
         column["unit"],
         column["prefilter"],

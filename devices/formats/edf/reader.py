@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinegraph.devices.formats.edf.layout import HEAD, EdfFile, Signal, read_layout
+from kinegraph.devices.formats.edf.layout import HEAD, EdfFile, RawSignal, read_layout
 from kinegraph.devices.formats.import_result import Asked, Understood
 from kinegraph.stream.chunk import NS, Array
 from kinegraph.stream.errors import RecordingError
@@ -35,7 +35,7 @@ def read_edf(path: Path, asked: Asked) -> Understood:
         _person(file, made)
     first = int(file.onsets[0]) if file.onsets is not None and len(file.onsets) else 0
     lost_ns = _pauses(file, made)
-    by_rate: dict[float, list[Signal]] = {}
+    by_rate: dict[float, list[RawSignal]] = {}
     for signal in file.signals:
         by_rate.setdefault(signal.digital.shape[1] / (file.record_ns / NS), []).append(signal)
     for rate, signals in by_rate.items():
@@ -99,7 +99,7 @@ def _person(file: EdfFile, made: Understood) -> None:
 
 
 def _signals(
-    made: Understood, part: str, rate: float, signals: Sequence[Signal], pauses: Array | None, asked: Asked
+    made: Understood, part: str, rate: float, signals: Sequence[RawSignal], pauses: Array | None, asked: Asked
 ) -> None:
     status = [signal for signal in signals if STATUS.match(signal.label)]
     for name, mine in (("status", status), (part, [signal for signal in signals if not STATUS.match(signal.label)])):

@@ -164,5 +164,5 @@ def _events(made: Understood, text: TextLines, at: int, stop: int) -> None:
         kinds.setdefault((row[context], row[name]), []).append(text.number(i, row[time], comma=delimiter != ","))
     for (side, label), seconds in kinds.items():
         part = re.sub(r"\W+", "_", f"{side} {label}".strip()).lower()
-        meta = {"label": label, "side": side.lower() if side.lower() in ("left", "right") else ""}
-        made.add_events(part, [s for s in seconds if np.isfinite(s)], None, **meta)
+        known = side.lower() if side.lower() in ("left", "right") else ""
+        made.add_events(part, [s for s in seconds if np.isfinite(s)], None, label=label, side=known)

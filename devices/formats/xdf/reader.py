@@ -61,7 +61,7 @@ def read_xdf(
 
     `start_ns` is when the first sample was (ns UTC). Without it, times are those that kinegraph's own export wrote down, or
     else begin at the file's date. String streams become events with the fields `onset` and `text` (at most
-    `text_width` characters; None: as long as they are). What a stream claims and does not hold to is added to `doubts`, or as `claims` has it.
+    `text_width` characters; None: as long as they are). A claim of the file that does not hold is added to `doubts`, or as `claims` has it.
     Raises RecordingError.
     """
     with reading(path, "an XDF file"):
@@ -187,8 +187,8 @@ def _evened(raw: dict[str, Any], even: dict[str, Any], told: Doubts) -> dict[str
     if moved <= JITTER_S:
         return even
     told.find(
-        f"stream {raw['info']['name'][0]!r}: its stamps are not evened out, which would move samples by {moved:.1f} s: they leap, or blocks "
-        "of them are out of order; they are kept, in the order of time"
+        f"stream {raw['info']['name'][0]!r}: its stamps are not evened out, which would move samples by {moved:.1f} s: they leap, or "
+        "blocks of them are out of order; they are kept, in the order of time"
     )
     return raw
 
