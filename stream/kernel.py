@@ -18,7 +18,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
 
-import numba
 import platformdirs
 from numba.core import caching
 
