@@ -70,7 +70,7 @@ licences: .venv/installed
 	$(BIN)/python -m tests.licences
 
 bench: .venv/installed-for-bench
-	$(BIN)/python -m bench --readme
+	$(BIN)/python -m bench --write
 
 site: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'

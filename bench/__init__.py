@@ -1,1 +1,1 @@
-"""Every figure that the README claims, measured against peers in one run: `make bench`."""
+"""Every figure of the docs, measured against peers in one run: `make bench`."""

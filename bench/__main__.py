@@ -1,4 +1,4 @@
-"""`python -m bench`, or `make bench`: all figures in one run, interleaved; they go into the README and the docs where asked for."""
+"""`python -m bench`, or `make bench`: all figures in one run, interleaved; they go into the docs where asked for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from bench import depth, devices, lsl, mti, paced, recorder, replay, sleep, start, throughput
 from bench.engines import Field
-from bench.report import Section, headline, publish, whole
+from bench.report import Section, publish, whole
 
 BUSY = 0.5
 """Beyond this load average at the start, the report says that the machine was busy."""
@@ -31,11 +31,7 @@ def main() -> None:
     parser.add_argument("--no-peers", action="store_true", help="kinegraph and the bare loops alone")
     parser.add_argument("--quick", action="store_true", help="tiny sizes: to see that it works, not for figures")
     parser.add_argument("--hours", type=float, default=10.0, help="of the replayed recording")
-    parser.add_argument(
-        "--readme",
-        action="store_true",
-        help="write goals and tables into docs/lab/performance.md, five goals into the README",
-    )
+    parser.add_argument("--write", action="store_true", help="write goals and tables into docs/lab/performance.md")
     given = parser.parse_args()
     only = DEVICES if given.devices else given.only
     began, load = time.monotonic(), os.getloadavg()[0]
@@ -47,9 +43,8 @@ def main() -> None:
                 sections += measure()
         told = about(field, load, time.monotonic() - began)
     print(whole(sections, told))
-    if given.readme:
+    if given.write:
         publish(sections, told, "lab/performance.md")
-        headline(sections, told)
 
 
 def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], list[Section]]]:

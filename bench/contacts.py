@@ -2,7 +2,7 @@
 
     KINEGRAPH_DATA=folder python -m bench.contacts
 
-reads `steps/imu_voisard_*.npz` (Voisard 2023, IPOL 497) and `emg/emg_epfl_*.npz`, and prints what docs/method/contacts.md quotes. A found
+reads `steps/imu_voisard_*.npz` (Voisard 2023, IPOL 497) and `emg/emg_epfl_*.npz`, and prints what docs/lab/contacts.md quotes. A found
 contact is right if it can be paired, one to one, with an annotated one at most 250 ms away.
 """
 

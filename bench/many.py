@@ -1,4 +1,4 @@
-"""`python -m bench.many`: what a batch costs beside its jobs, as a table for docs/use/batch.md.
+"""`python -m bench.many`: what a batch costs beside its jobs, as a table for docs/lab/batch.md.
 
 cores      the same jobs by one worker and by two, in turns: how much faster two are
 overhead   a job's wall time in a batch beside a bare loop of replays that write the same tables, in one process

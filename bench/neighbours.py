@@ -3,7 +3,7 @@
 Every contender gets the same frames. Times are of one insertion and one query together, microseconds a frame, called from Python one frame
 at a time as a live graph would, in the thread's own time, less that of a step that does nothing (reading the clock takes some .5 us):
 median and 99th percentile. `--quick` leaves out the largest window; `--write`
-puts goals and table into docs/method/neighbours.md.
+puts goals and table into docs/lab/neighbours.md.
 """
 
 from __future__ import annotations
@@ -317,13 +317,13 @@ def main() -> None:
     parser.add_argument(
         "--quick", action="store_true", help="windows of 1000 and 10 000 frames, and little time for each"
     )
-    parser.add_argument("--write", action="store_true", help="write goals and table into docs/method/neighbours.md")
+    parser.add_argument("--write", action="store_true", help="write goals and table into docs/lab/neighbours.md")
     given = parser.parse_args()
     section = measure(0.5 if given.quick else 4.0, quick=given.quick)
     name = "bench.neighbours"
     print(whole([section], f"By `python -m {name}`."))
     if given.write:
-        publish([section], f"By `python -m {name}`.", "method/neighbours.md", *marks(name))
+        publish([section], f"By `python -m {name}`.", "lab/neighbours.md", *marks(name))
 
 
 if __name__ == "__main__":

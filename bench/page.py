@@ -7,7 +7,7 @@ session is a process of its own; the client whose messages are timed is a headle
 another of low priority, for people look from machines of their own. Rounds without a page (twice: what these differ by is noise), with
 one client, five, twenty, one that reads nothing, and a server that is killed every second take turns; so do timeflux_ui and the Foxglove
 SDK's server, where they install. Processor time is of the session's process and of the server's, by their own clocks. `--write` puts it
-all into docs/use/page.md.
+all into docs/lab/page.md.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="of each turn")
     parser.add_argument("--minutes", type=float, default=60.0, help="of the recording that is looked at")
     parser.add_argument("--no-peers", action="store_true", help="without timeflux_ui and the Foxglove SDK's server")
-    parser.add_argument("--write", action="store_true", help="write goals and tables into docs/use/page.md")
+    parser.add_argument("--write", action="store_true", help="write goals and tables into docs/lab/page.md")
     given = parser.parse_args()
     load = os.getloadavg()[0]
     sections = [live(given.rounds, given.seconds), meshes(given.seconds)]
@@ -128,7 +128,7 @@ def main() -> None:
     about = f"Load average at the start {load:.1f}, at the end {os.getloadavg()[0]:.1f}, on {os.cpu_count()} cores."
     print(whole(sections, about))
     if given.write:
-        publish(sections, about, "use/page.md", *marks("bench.page"))
+        publish(sections, about, "lab/page.md", *marks("bench.page"))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 """`python -m bench.raspberry`: the shipped bedside graph in real time on a share of one core, as on a small computer. `--write`: into
-docs/use/bedside.md.
+docs/lab/bedside.md.
 
 `kinegraph run` with configs/bedside_sleep.yaml, to which nothing is done but that its camera hands over frames of a simulated sleeper from
 memory (640 x 400, 30 per second), and that an outlet notes how old each result is when it comes. All its processes stand in a control
@@ -268,7 +268,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.raspberry", description=__doc__)
     parser.add_argument("--share", type=float, nargs="+", default=[0.25], help="of one core")
     parser.add_argument("--seconds", type=float, default=100.0)
-    parser.add_argument("--write", action="store_true", help="write the table into docs/use/bedside.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/lab/bedside.md")
     given = parser.parse_args()
     rows = []
     for share in given.share:
@@ -284,7 +284,7 @@ def main() -> None:
     sections = [Section("The shipped graph in real time on a share of one core", HEADER, rows)]
     print(whole(sections, ABOUT))
     if given.write:
-        publish(sections, ABOUT, "use/bedside.md", *marks("bench.raspberry"))
+        publish(sections, ABOUT, "lab/bedside.md", *marks("bench.raspberry"))
 
 
 if __name__ == "__main__":

@@ -1,22 +1,13 @@
-"""What a measure gives back, and how it is shown: goals, reached or not, and all tables in a page of the docs; five goals in the README."""
+"""What a measure gives back, and how it is shown: goals, reached or not, and all tables, in a page of the docs."""
 
 from __future__ import annotations
 
-from collections.abc import Container
 from dataclasses import dataclass, field
 from pathlib import Path
 
 HOUSE = Path(__file__).resolve().parent.parent
 BEGIN = "<!-- bench: begin (written by `make bench`) -->"
 END = "<!-- bench: end -->"
-HEADLINES = (
-    "cost of a message, fed",
-    "chain at 10 samples, fed, against the bare loop",
-    "chain at 10 samples, a whole recorded session, against the bare loop",
-    "paced p50 latency, a whole session, against the bare loop",
-    "paced p99 latency, a whole session, against the bare loop",
-)
-"""The goals that stand in the README."""
 
 
 def marks(name: str) -> tuple[str, str]:
@@ -68,10 +59,9 @@ def short(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-def goals(sections: list[Section], about: str, names: Container[str] | None = None) -> str:
-    """What was promised, and what was reached; only of the goals named, if any are."""
-    every = [goal for section in sections for goal in section.goals]
-    rows = [goal.row() for goal in every if names is None or goal.name in names]
+def goals(sections: list[Section], about: str) -> str:
+    """What was promised, and what was reached."""
+    rows = [goal.row() for section in sections for goal in section.goals]
     return "\n\n".join([about, *([table(["goal", "reached", "promised", "kept"], rows)] if rows else [])])
 
 
@@ -88,11 +78,6 @@ def whole(sections: list[Section], about: str) -> str:
 def publish(sections: list[Section], about: str, page: str, begin: str = BEGIN, end: str = END) -> None:
     """Write goals and tables into a page of the docs."""
     into_page(HOUSE / "docs" / page, whole(sections, about), begin, end)
-
-
-def headline(sections: list[Section], about: str) -> None:
-    """Write the headlines into the README."""
-    into_page(HOUSE / "README.md", goals(sections, about, HEADLINES))
 
 
 def into_page(page: Path, text: str, begin: str = BEGIN, end: str = END) -> None:

@@ -1,5 +1,5 @@
 """`python -m bench.scenes`: scores from depth frames against the same scorer on true movement, scene by scene; a table in Markdown.
-`--write` puts it into docs/use/bedside.md.
+`--write` puts it into docs/lab/bedside.md.
 
 The bedroom is the renderer of the tests, which shares nothing with the product's own simulator. It shows what the chain from frames to
 scores makes of each disturbance; the sleeper's true movement is known, sleep is not: it shows nothing about sleep. Each scene is 45
@@ -182,7 +182,7 @@ TITLE = "Scores from frames against the same scorer on the sleeper's true moveme
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.scenes", description=__doc__)
     parser.add_argument("--only", nargs="+", choices=list(SCENES), default=list(SCENES), metavar="SCENE")
-    parser.add_argument("--write", action="store_true", help="write the table into docs/use/bedside.md")
+    parser.add_argument("--write", action="store_true", help="write the table into docs/lab/bedside.md")
     given = parser.parse_args()
     rows = []
     for name in given.only:
@@ -191,7 +191,7 @@ def main() -> None:
     sections = [Section(TITLE, HEADER, rows)]
     print(whole(sections, ABOUT))
     if given.write:
-        publish(sections, ABOUT, "use/bedside.md", *marks("bench.scenes"))
+        publish(sections, ABOUT, "lab/bedside.md", *marks("bench.scenes"))
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ class Operator(Generic[S]):
     delays     in words, for the docs: by how much its stamps are earlier than what it has been given
     references what its numbers equal, or where its method is from
     exemptions rules of the laws (stream/laws/violations.py) that do not hold here on purpose, each with the reason, for the docs
-    panels     panels of its own for the page: per kind, the name of a JavaScript module beside this one (docs/use/page.md)
+    panels     panels of its own for the page: per kind, the name of a JavaScript module beside this one (docs/extend/panel.md)
     """
 
     __slots__ = ("decision_s", "delay_s", "state")

@@ -49,6 +49,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Links among the repository's files become links among the site's pages; what the site lacks becomes plain text."""
     here = "" if page.file.src_uri in ROOT else f"docs/{page.file.src_uri.rpartition('/')[0]}"
+    if page.file.src_uri == "CHANGELOG.md":
+        page.meta["search"] = {"exclude": True}  # it names everything once, and would be found in place of the page
+    elif page.file.src_uri.startswith("lab/"):
+        page.meta["search"] = {"boost": 0.2}
+    if not here:
+        markdown = markdown.replace("docs/pictures/", "pictures/")
 
     def link(match: re.Match[str]) -> str:
         text, target, anchor = match[1], match[2], match[3] or ""

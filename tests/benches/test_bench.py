@@ -11,7 +11,7 @@ import pytest
 
 from bench import page, page_recording, page_turns
 from bench.__main__ import MEASURES
-from bench.report import BEGIN, END, HEADLINES, Goal, Section, goals, into_page, short
+from bench.report import BEGIN, END, Goal, Section, goals, into_page, short
 from tests.support.page_session import needs_page
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,14 +71,3 @@ def test_a_report_replaces_the_one_before(tmp_path: Path) -> None:
 
 def test_short_numbers() -> None:
     assert [short(v) for v in (0.1234, 12.34, 123.4, 12345.0)] == ["0.123", "12.3", "123", "12345"]
-
-
-def test_the_readme_holds_the_headlines_and_the_page_all_goals() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    page = (ROOT / "docs" / "lab" / "performance.md").read_text(encoding="utf-8")
-    rows = [line for line in readme.partition(BEGIN)[2].partition(END)[0].splitlines() if line.startswith("| ")][1:]
-    assert [row.split(" | ")[0].removeprefix("| ") for row in rows] == list(HEADLINES)
-    assert all(row in page for row in rows)
-    section = Section("Title", goals=[Goal(HEADLINES[0], 1.0, 2.0, "us"), Goal("another", 1.0, 2.0, "us")])
-    assert "another" not in goals([section], "About.", HEADLINES)
-    assert HEADLINES[0] in goals([section], "About.", HEADLINES)

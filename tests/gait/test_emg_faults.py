@@ -1,4 +1,4 @@
-"""The tables of faults in docs/method/emg.md: all that the benches make, none that changes a number by more than a tenth in silence."""
+"""The tables of faults in docs/lab/emg.md: all that the benches make, none that changes a number by more than a tenth in silence."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from bench import emg_faults, emg_real_faults
 from tests.support.real import needs_data
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "method" / "emg.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "lab" / "emg.md"
 CELL = r" ([^|]+?) \|"
 ROW = re.compile(rf"^\|{8 * CELL}$", re.MULTILINE)
 REAL = {**emg_real_faults.FAULTS, **emg_real_faults.OVERGROUND}

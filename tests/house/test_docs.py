@@ -1,4 +1,5 @@
-"""Every command in README and docs is run, page by page, in order, as a reader would; every link leads somewhere.
+"""Every command in README and docs is run, page by page, in order, as a reader would; every link leads somewhere. Records of the
+laboratory (docs/lab) are not run.
 
 ```python name.py, ```yaml name.yaml    the block is saved under that name, as the page says
 ```sh, ```console                       each command is run; `# expect: 2` says that it must end with that exit code
@@ -7,10 +8,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from dataclasses import fields
@@ -20,12 +19,15 @@ import pytest
 
 from kinegraph.stream.graph import NodeOptions, RecordingOptions
 from kinegraph.stream.graph.reading.load import SECTIONS, Settings, load_text
+from tests.support.typed_commands import Typist
 
 HOUSE = Path(__file__).resolve().parents[2]
+LABORATORY = HOUSE / "docs" / "lab"
 PAGES = sorted([*HOUSE.glob("*.md"), *(HOUSE / "docs").rglob("*.md")])
 BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 EXPECT = re.compile(r"#\s*expect:\s*(\d+)")
-MAKE = re.compile(r"^make (demo|check|test|nightly|test-peers|bench|site|dist)\b")
+MAKE = re.compile(r"^make \w")
+"""These are run by hand and by `.ci/run`; their names are looked up in the Makefile."""
 
 
 def blocks(page: Path) -> list[tuple[str, str, str]]:
@@ -45,64 +47,85 @@ def commands(block: str) -> list[tuple[str, int]]:
     return found
 
 
-@pytest.fixture
-def desk(tmp_path: Path) -> Path:
-    """A folder as a reader has it: the checkout's configs and docs, and nothing of what commands leave behind."""
-    for name in ("configs", "docs", "Makefile", "pyproject.toml", "README.md"):
-        if (HOUSE / name).is_dir():
-            shutil.copytree(HOUSE / name, tmp_path / name)
-        elif (HOUSE / name).exists():
-            shutil.copy(HOUSE / name, tmp_path / name)
-    return tmp_path
-
-
-def run(command: str, code: int, desk: Path) -> str:
-    """What a command prints; it must end with `code`."""
-    if MAKE.match(command):
-        targets = subprocess.run(["make", "-n", command.split()[1]], cwd=HOUSE, capture_output=True, text=True)
-        assert targets.returncode == 0, targets.stderr  # `make demo` and `make test` themselves are run by .ci/run
-        return ""
-    done = subprocess.run(
-        command,
-        shell=True,
-        cwd=desk,
-        env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "COLUMNS": "120"},
-        capture_output=True,
-        text=True,
-        stdin=subprocess.DEVNULL,
-        timeout=300,
-    )
-    assert done.returncode == code, f"{command}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
-    return f"{done.stdout} {done.stderr} "
+def as_tested(command: str, page: Path) -> str:
+    """The command, ended after two seconds where a reader would press Ctrl-C."""
+    endless = "--page" in command or command.startswith(("kinegraph view", "kinegraph motion map", "kinegraph demo"))
+    endless = endless or (page.stem == "README" and command.startswith("kinegraph run"))
+    return f"{re.split(r' +# ', command)[0]} --for 2" if endless and "--for" not in command else command
 
 
 def words(text: str) -> str:
     return " ".join(text.split())
 
 
-FIRST_READ = {"README", "CONTRIBUTING", "running", "graphs", "python", "operator"}
+FIRST_READ = {"README", "running", "graphs", "python", "operator"}
 """The commands of these pages run before every change, those of all others every night."""
 WITH_COMMANDS = [
     pytest.param(page, id=page.stem, marks=() if page.stem in FIRST_READ else pytest.mark.nightly)
     for page in PAGES
-    if blocks(page)
+    if page.parent != LABORATORY and blocks(page)
 ]
 
 
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", WITH_COMMANDS)
-def test_a_page_does_what_it_says(page: Path, desk: Path) -> None:
+def test_a_page_does_what_it_says(page: Path, tmp_path: Path) -> None:
+    """In an empty folder, as outside a checkout."""
     shown = ""
-    for kind, name, text in blocks(page):
-        if name:
-            (desk / name).write_text(text, encoding="utf-8")
-        elif kind == "text":
-            for line in filter(None, map(words, text.splitlines())):
-                assert line in words(shown), f"{page.name}: {line!r} is not in:\n{shown}"
-            shown = ""
-        else:
-            for command, code in commands(text):
-                shown += run(command, code, desk)
+    with Typist(tmp_path) as typist:
+        for kind, name, text in blocks(page):
+            if name:
+                (tmp_path / name).write_text(text, encoding="utf-8")
+            elif kind == "text":
+                for line in filter(None, map(words, text.splitlines())):
+                    assert line in words(shown), f"{page.name}: {line!r} is not in:\n{shown}"
+                shown = ""
+            else:
+                for command, expected in commands(text):
+                    if not MAKE.match(command):
+                        code, printed = typist.type(as_tested(command, page))
+                        assert code == expected, f"{command}\n{printed[-5000:]}"
+                        shown += f"{printed} "
+
+
+def test_every_target_of_make_that_a_page_names_exists() -> None:
+    targets = {match[1] for page in PAGES for match in re.finditer(r"`?make ([a-z-]+)`", page.read_text())}
+    makefile = (HOUSE / "Makefile").read_text(encoding="utf-8")
+    assert targets and {name for name in targets if not re.search(rf"^{name}:", makefile, re.MULTILINE)} == set()
+
+
+# how long the documentation may be -------------------------------------------------------------------------------------
+
+USER_PAGES = [page for page in PAGES if page.parent != LABORATORY]
+
+
+def word_count(page: Path) -> int:
+    return len(page.read_text(encoding="utf-8").split())
+
+
+def test_the_pages_for_users_are_short() -> None:
+    """Records of the laboratory (docs/lab) may be as long as they like."""
+    assert word_count(HOUSE / "README.md") <= 600
+    assert {page.name: word_count(page) for page in USER_PAGES if word_count(page) > 2500} == {}
+    assert sum(map(word_count, USER_PAGES)) <= 50_800
+
+
+def test_no_page_for_users_holds_a_long_table_of_measurements() -> None:
+    """At most twelve rows in which most cells are numbers."""
+    for page in USER_PAGES:
+        for table in re.findall(r"(?:^\|.*\n)+", page.read_text(encoding="utf-8"), re.MULTILINE):
+            cells = [[cell.strip(" *<>~") for cell in row.split("|")[2:-1]] for row in table.splitlines()[2:]]
+            measured = [row for row in cells if row and sum(cell[:1].isdigit() for cell in row) > len(row) / 2]
+            assert len(measured) <= 12, (
+                f"{page.name}: a table of {len(measured)} measurements; it belongs into docs/lab"
+            )
+
+
+def test_every_graph_that_a_page_names_by_its_file_is_one_that_the_page_writes() -> None:
+    """Shipped graphs are named as outside a checkout: `kinegraph run NAME`."""
+    for page in USER_PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert not re.findall(r"kinegraph [\w ]*configs/\w+\.yaml", text), page.name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
@@ -137,7 +160,7 @@ CASES = re.compile(r"^(\d+) cases?$")
 def attacks() -> list[tuple[str, str, str, list[str]]]:
     """(count, setting, program, its arguments) of every row of the table of what was tried."""
     text = (
-        (HOUSE / "docs" / "use" / "trust.md")
+        (HOUSE / "docs" / "lab" / "trust.md")
         .read_text(encoding="utf-8")
         .split("## What was tried")[1]
         .split("\n## ")[0]

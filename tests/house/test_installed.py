@@ -21,7 +21,7 @@ from packaging.utils import canonicalize_name
 
 from kinegraph.stream.graph.reading.load import load
 from kinegraph.stream.graph.shipped import resolve, shipped, shipped_folder, summary
-from tests.house.test_docs import blocks, commands
+from tests.house.test_docs import as_tested, blocks, commands
 from tests.house.test_raspberry_wheels import UNREACHABLE
 from tests.support.browser import needs_browser
 from tests.support.live_browser import live_browser
@@ -257,14 +257,15 @@ def test_the_page_of_a_wheel_needs_no_node_and_fetches_nothing_from_elsewhere(si
 def test_every_command_of_the_readme_works_from_the_wheel(site: Path, tmp_path: Path) -> None:
     environment = {**os.environ, "PATH": f"{site}:{os.environ['PATH']}", "COLUMNS": "120"}
     done = []
-    for kind, name, text in blocks(HOUSE / "README.md"):
+    pages = (HOUSE / "README.md", HOUSE / "docs" / "start" / "first-session.md")
+    for page, (kind, name, text) in [(p, block) for p in pages for block in blocks(p)]:
         if name:
             (tmp_path / name).write_text(text, encoding="utf-8")
         elif kind == "sh":
             for command, code in commands(text):
                 if not command.startswith("make"):
                     ended = subprocess.run(
-                        ["bash", "-c", command],
+                        ["bash", "-c", as_tested(command, page)],
                         cwd=tmp_path,
                         env=environment,
                         capture_output=True,
@@ -273,7 +274,7 @@ def test_every_command_of_the_readme_works_from_the_wheel(site: Path, tmp_path: 
                     )
                     assert ended.returncode == code, f"{command}\n{ended.stdout[-2000:]}\n{ended.stderr[-2000:]}"
                     done.append(command)
-    assert len(done) > 6 and (tmp_path / "session").exists()
+    assert len(done) > 8 and (tmp_path / "walk").exists()
 
 
 NEWER = ("3.12", "3.13")

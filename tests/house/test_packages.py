@@ -107,7 +107,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "pyproject.toml").write_text(PROJECT)
     for name, text in {"__init__": "", "greet": GREET, "tally": TALLY, "panels": PANELS}.items():
         (place / "gait_lab" / f"{name}.py").write_text(text)
-    (module,) = (text for _, name, text in blocks(HOUSE / "docs" / "use" / "page.md") if name == "bars.js")
+    (module,) = (text for _, name, text in blocks(HOUSE / "docs" / "extend" / "panel.md") if name == "bars.js")
     (place / "gait_lab" / "knee.js").write_text(module)
     run(place, sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", place / "dist", cwd=place)
     wheel = next((place / "dist").glob("*.whl"))

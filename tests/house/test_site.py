@@ -8,8 +8,10 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from ruamel.yaml import YAML
 
 from kinegraph.stream.cli.registry import names
 from kinegraph.stream.graph.components import catalogue
@@ -62,10 +64,12 @@ def test_every_page_is_there_and_can_be_searched(site: Path) -> None:
         "index.html",
         "use/batch.html",
         "reference/operators.html",
-        "CHANGELOG.html",
         "CODE_OF_CONDUCT.html",
     } <= found
     assert any("Lowpass" in entry["title"] for entry in index["docs"])
+    assert not any(entry["location"].startswith("CHANGELOG") for entry in index["docs"]), (
+        "the page is found, not its history"
+    )
 
 
 def test_commands_and_graphs_are_there(site: Path) -> None:
@@ -83,3 +87,18 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     assert [
         str(page.relative_to(site)) for page in site.rglob("*.html") if loaded.search(page.read_text(encoding="utf-8"))
     ] == []
+
+
+def test_the_first_level_leads_to_pages_for_users(site: Path) -> None:
+    """Records of the laboratory are below; the home page holds pictures, and no source of a diagram."""
+    home = (site / "index.html").read_text(encoding="utf-8")
+    assert "flowchart" not in home and "mermaid" not in home
+    pictures = re.findall(r'<img[^>]*src="([^"]+)"', home)
+    assert len(pictures) >= 4 and all((site / name).is_file() for name in pictures)
+    tabs = yaml_nav()
+    assert [next(iter(tab)) for tab in tabs][:4] == ["Home", "Start", "Tutorials", "Use"]
+    assert not any("lab/" in str(page) for tab in tabs for page in next(iter(tab.values())) if isinstance(page, str))
+
+
+def yaml_nav() -> list[dict[str, Any]]:
+    return list(YAML(typ="safe").load((HOUSE / "docs" / "site" / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])

@@ -453,7 +453,7 @@ def test_every_message_stands_in_the_docs() -> None:
     """What the server sends and takes, as the page's own TypeScript and the decoder know it."""
     folder = Path(__file__).resolve().parents[2]
     told = (
-        (folder / "docs" / "use" / "page.md")
+        (folder / "docs" / "extend" / "panel.md")
         .read_text(encoding="utf-8")
         .partition("## Messages")[2]
         .partition("## Building")[0]

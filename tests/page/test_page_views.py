@@ -147,8 +147,8 @@ def test_a_person_asks_for_spectra_of_a_recording(browser: LiveBrowser, tmp_path
 
 
 def documented(folder: Path) -> None:
-    """The files of the example in docs/use/page.md."""
-    for _, name, text in blocks(HOUSE / "docs" / "use" / "page.md"):
+    """The files of the example in docs/extend/panel.md."""
+    for _, name, text in blocks(HOUSE / "docs" / "extend" / "panel.md"):
         if name.startswith("bars."):
             (folder / name).write_text(text, encoding="utf-8")
             assert len(text.splitlines()) < 40

@@ -137,7 +137,7 @@ FRAMES = {
 
 @pytest.mark.parametrize("name", FRAMES)
 def test_a_packed_frame_is_what_the_documentation_says(name: str) -> None:
-    """Read by the recipe of docs/use/recordings.md, in numpy alone; and by our own reader."""
+    """Read by the recipe of docs/extend/format.md, in numpy alone; and by our own reader."""
     frame = FRAMES[name]
     body = Packer().pack(7, START, frame)
     index, stamp, height, width = struct.unpack_from("<qqII", body)

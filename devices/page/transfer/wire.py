@@ -2,7 +2,8 @@
 
     u32 length of the header | header, JSON in UTF-8, padded with spaces to a multiple of 8 (with the u32) | numbers, little-endian
 
-`docs/use/page.md` lists every message. The same messages go from the session's process to the server's, each behind a u32 of its length.
+`docs/extend/panel.md` lists every message. The same messages go from the session's process to the server's,
+each behind a u32 of its length.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-// A panel that an operator, an outlet or an installed package brings: a module from this page's own address (docs/use/page.md says how).
+// A panel that an operator, an outlet or an installed package brings: a module from this page's own address (docs/extend/panel.md says how).
 
 import { colour, make, type Page, Panel, shade, Sheet, type Span } from "./panel";
 import type { Stream } from "./store";

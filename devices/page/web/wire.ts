@@ -1,4 +1,4 @@
-// What travels between the server and this page: see docs/use/page.md.
+// What travels between the server and this page: see docs/extend/panel.md.
 
 export const VERSION = 1;
 

@@ -1,4 +1,4 @@
-"""How a recording's bytes are laid out: `docs/use/recordings.md` says the same for other people's programs.
+"""How a recording's bytes are laid out: `docs/extend/format.md` says the same for other people's programs.
 
 A recording is MCAP with the profile "kinegraph". Each stream is a channel; one message holds the chunks that came within about 100 ms,
 each with its boundaries, its `until` and `lost`, its arrival and its place in the input log.

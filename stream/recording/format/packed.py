@@ -1,7 +1,7 @@
 """Depth frames packed without loss: differences along each row, in two planes of bytes, by zstd; some 1 ms per 640 x 480 frame.
 
 Neighbours in a depth image are alike, so their difference is small: the plane of its high bytes is nearly all zeros, and the other one is
-left with the noise. `docs/use/recordings.md` says how to read one without kinegraph.
+left with the noise. `docs/extend/format.md` says how to read one without kinegraph.
 """
 
 from __future__ import annotations
