@@ -47,11 +47,11 @@ def commands(block: str) -> list[tuple[str, int]]:
     return found
 
 
-def as_tested(command: str, page: Path) -> str:
+def as_tested(command: str) -> str:
     """The command, ended after two seconds where a reader would press Ctrl-C."""
     endless = "--page" in command or command.startswith(("kinegraph view", "kinegraph motion map", "kinegraph demo"))
-    endless = endless or (page.stem == "README" and command.startswith("kinegraph run"))
-    return f"{re.split(r' +# ', command)[0]} --for 2" if endless and "--for" not in command else command
+    command = re.split(" +# ", command)[0] if endless else command
+    return f"{command} --for 2" if endless and "--for" not in command else command
 
 
 def words(text: str) -> str:
@@ -83,7 +83,7 @@ def test_a_page_does_what_it_says(page: Path, tmp_path: Path) -> None:
             else:
                 for command, expected in commands(text):
                     if not MAKE.match(command):
-                        code, printed = typist.type(as_tested(command, page))
+                        code, printed = typist.type(as_tested(command))
                         assert code == expected, f"{command}\n{printed[-5000:]}"
                         shown += f"{printed} "
 

@@ -258,14 +258,14 @@ def test_every_command_of_the_readme_works_from_the_wheel(site: Path, tmp_path: 
     environment = {**os.environ, "PATH": f"{site}:{os.environ['PATH']}", "COLUMNS": "120"}
     done = []
     pages = (HOUSE / "README.md", HOUSE / "docs" / "start" / "first-session.md")
-    for page, (kind, name, text) in [(p, block) for p in pages for block in blocks(p)]:
+    for kind, name, text in [block for page in pages for block in blocks(page)]:
         if name:
             (tmp_path / name).write_text(text, encoding="utf-8")
         elif kind == "sh":
             for command, code in commands(text):
                 if not command.startswith("make"):
                     ended = subprocess.run(
-                        ["bash", "-c", as_tested(command, page)],
+                        ["bash", "-c", as_tested(command)],
                         cwd=tmp_path,
                         env=environment,
                         capture_output=True,
