@@ -49,10 +49,13 @@ class RateCheck:
 
     def __init__(
         self, device: str, rate_hz: float | None, policy: Policy, *, setting: str = "rate_hz", unit: str = "", counted: bool = False,
-        wraps_ns: int = 0,
+        wraps_ns: int = 0, wrong: float = WRONG, has_clock: bool = True,
     ) -> None:  # fmt: skip
         """`setting`: the parameter that holds the rate, or a sentence; `unit`: of the device's time, as declared by `time_unit`;
-        `counted`: what is lost is known by a counter; `wraps_ns`: where the device's time starts again, as declared."""
+        `counted`: what is lost is known by a counter; `wraps_ns`: where the device's time starts again, as declared;
+        `wrong`: by which share a rate by the device's time may be off; `has_clock`: whether a session needs the device's time, so that a
+        wrong one ends it in any case."""
+        self._wrong, self._has_clock = wrong, has_clock
         self._device, self._rate, self._policy = device, rate_hz, policy
         self._setting, self._unit, self._counted = setting, unit, counted
         self._wraps = wraps_ns if wraps_ns < 2**62 else 0
@@ -181,7 +184,7 @@ class RateCheck:
         coarse = float(np.median(good)) if np.count_nonzero(steps == 0) > TWICE * len(steps) else 0.0
         rates = [NS / usual, overall] if self._counted else [overall, NS / usual]
         if self._came[-1] / device[-1] * NS < self._rate < overall or any(
-            abs(hz / self._rate - 1) <= WRONG + 2 * coarse / device[-1] for hz in rates
+            abs(hz / self._rate - 1) <= self._wrong + 2 * coarse / device[-1] for hz in rates
         ):
             return None, ""
         return rates[-1], of_rate(rates[-1], self._rate, self._setting)
@@ -212,7 +215,7 @@ class RateCheck:
         return self._rate is not None and abs(NS / usual / self._rate - 1) <= WRONG
 
     def _tell(self, hz: float, text: str, at_start: bool, feed: Feed) -> float | None:
-        if at_start and (self._policy == "fail" or not hz):
+        if at_start and (self._policy == "fail" or (not hz and self._has_clock)):
             more = "; `rate_mismatch: warn` goes on by the true rate" if hz else ""
             raise DeclarationError(f"{self._device} is not as declared: {text}{more}")
         feed.problem("rate mismatch")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
+from kinegraph.devices.clocks.rate_check import POLICY_HELP, Policy
 from kinegraph.devices.clocks.timing import timing_spec
 from kinegraph.devices.lsl.connection import Connection, opened
 from kinegraph.devices.lsl.find import Wanted, find, missing
@@ -54,7 +55,7 @@ class LslInlet(_Probing):
     rate_hz: float = param(0.0, least=0, help="nominal rate; 0: irregular")
     unit: tuple[str, ...] | str = param("", help="of all channels, or one for each: uV, mV, g, ...")
     markers: bool = param(False, help="the stream holds texts, not numbers")
-    text_width: int = param(64, least=1, most=4096, help="characters that a marker may have; longer ones are cut")
+    text_width: int = param(64, least=1, most=65536, help="characters that a marker may have; longer ones are cut")
     probe: bool = param(False, help="look at the stream when the graph is loaded, instead of declaring it")
     resolve_s: float = param(5.0, above=0, most=600, help="how long to search for the stream")
     lost_after_s: float = param(5.0, above=0, help="after how long without a sample it is searched for again")
@@ -62,6 +63,7 @@ class LslInlet(_Probing):
         0.5, above=0, help="a longer step between stamps is a gap; an even sender's gaps are seen at two periods"
     )
     latency_s: float = param(0.0, least=0, help="how long before its stamp a sample really was taken")
+    rate_mismatch: Policy = param("warn", help=POLICY_HELP)
     network: Network = param(ANY, help="how far LSL looks; one for the whole graph")
 
     def specs(self) -> Specs:
@@ -88,7 +90,9 @@ class LslInlet(_Probing):
         with opened(lsl, found, feed) as connection:
             if connection is not None:
                 self._check(connection)
-                Pull(connection, self._spec, feed, self.gap_s, self.latency_s, self.lost_after_s).run()
+                Pull(
+                    connection, self._spec, feed, self.gap_s, self.latency_s, self.lost_after_s, self.rate_mismatch
+                ).run()
 
     @property
     def _wanted(self) -> Wanted:

@@ -8,6 +8,7 @@ import numpy as np
 import structlog
 
 from kinegraph.devices.clocks.clock_log import ClockLog
+from kinegraph.devices.clocks.rate_check import Policy, RateCheck
 from kinegraph.devices.clocks.timing import timing_chunk
 from kinegraph.devices.lsl.clock import SenderClock, zero_ns
 from kinegraph.devices.lsl.connection import Connection
@@ -25,6 +26,8 @@ THERE_S = 2.0
 """How long a silent outlet may take to answer."""
 TIMING_S = 0.1
 """How long events of `timing` are gathered."""
+WRONG = 0.01
+"""By more than this no sender's clock is off that stamps its own samples."""
 QUICKEST_S = 0.05
 """LSL does not find an outlet again within less."""
 
@@ -35,11 +38,29 @@ class Pull:
     """One opening of an inlet."""
 
     def __init__(
-        self, connection: Connection, spec: StreamSpec, feed: Feed, gap_s: float, latency_s: float, lost_after_s: float
+        self,
+        connection: Connection,
+        spec: StreamSpec,
+        feed: Feed,
+        gap_s: float,
+        latency_s: float,
+        lost_after_s: float,
+        rate_mismatch: Policy = "warn",
     ) -> None:
         self._connection, self._spec, self._feed, self._lost_after = connection, spec, feed, lost_after_s
         zero = zero_ns(connection.lsl, feed.now)
         self._stamps = LslStamps(spec.rate_hz, zero, gap_s, latency_s)
+        self._rate = (
+            RateCheck(
+                f"the LSL stream {connection.described.name!r}",
+                spec.rate_hz,
+                rate_mismatch,
+                wrong=WRONG,
+                has_clock=False,
+            )
+            if spec.rate_hz
+            else None
+        )
         self._clock = SenderClock(zero / NS)
         self._told_clock = ClockLog(connection.described.name, feed, self._clock.state)
         self._count = 0
@@ -101,6 +122,8 @@ class Pull:
         samples = self._events(mapped, data) if self._spec.is_event else data.astype(np.float64)
         self._count += len(times)
         self._timing.append((self._count - 1, _ns(stamps.item(-1)), arrival, times.item(-1)))
+        if self._rate is not None and not reconnected:
+            self._rate.see(len(stamps), 0, arrival, self._feed, np.round(np.nan_to_num(stamps) * NS).astype(np.int64))
         if gaps or mapped.backwards or mapped.impossible:
             self._count_problems(mapped)
         if not gaps:
@@ -121,6 +144,10 @@ class Pull:
             self._feed.problem("stamp ran backwards", mapped.backwards)
         if mapped.impossible:
             self._feed.problem("impossible stamp", mapped.impossible)
+        if mapped.shifted_s:
+            text = f"its stamps are of another clock: they are moved by {mapped.shifted_s:.3f} s, to their arrival"
+            self._feed.problem("stamps of another clock")
+            self._feed.tell("stamps of another clock", shifted_s=round(mapped.shifted_s, 3), text=text)
 
     def _events(self, mapped: Mapped, texts: Array) -> Array:
         """Markers (n, channels) as events; what is too long is cut, and counted."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf, isfinite
 
 import numpy as np
 
@@ -18,6 +19,9 @@ STEADY_S = 1.0
 """After so long with even steps alone, a leap by whole periods is that many samples lost."""
 OLDEST_S, NEWEST_S = 3600.0, 1.0
 """A stamp further before its arrival, or further after, is not of LSL's clock. One from the future holds up all that follow it."""
+BACK_S, NEAR_S, SURE = 1.0, 10.0, 20
+"""A stamp that runs back by more than the first is of a clock that was set. This many in a row that are impossible, or run back so, and lie
+within the second of each other, are of another clock, which is followed from then on."""
 NOTICED_NS = 1000
 """A stamp that runs back by less is a rounding error."""
 
@@ -30,12 +34,14 @@ class Mapped:
     gaps         (index, lost) where samples are missing before it; -1: nobody knows how many
     backwards    how many stamps lay before an earlier one, and were moved to it
     impossible   how many stamps could not be of LSL's clock; their arrival is taken
+    shifted_s    by how much stamps are moved from this read on, because they are of another clock; 0.0: no more than before
     """
 
     time: Times
     gaps: list[tuple[int, int]]
     backwards: int
     impossible: int
+    shifted_s: float = 0.0
 
 
 class LslStamps:
@@ -51,6 +57,12 @@ class LslStamps:
         self._target = self._correction = 0.0
         self._raw: float | None = None
         self._last: int | None = None
+        self._moved = 0.0
+        """Added to stamps that are of another clock (s)."""
+        self._good = -inf
+        """The last stamp of the clock that is followed."""
+        self._strange = 0
+        self._strange_at = 0.0
 
     def correct(self, correction_s: float, *, at_once: bool = False) -> None:
         """A new estimate of what to add to the sender's stamps to have local ones (s); `at_once` after a pause."""
@@ -61,10 +73,13 @@ class LslStamps:
     def map(self, stamps: Samples, arrival_ns: int, *, after_pause: bool = False) -> Mapped:
         """Session times of samples with these stamps (n,), n > 0, read at `arrival_ns`. `after_pause`: the connection was lost before."""
         raws: list[float] = stamps.tolist()
+        if self._moved:
+            raws = [raw + self._moved for raw in raws]
         arrival = (arrival_ns - self._zero) / NS - self._correction
         if not after_pause and self._is_even(raws, arrival):
             shift = self._shift
             times = [round(raw * NS) + shift for raw in raws]
+            self._good = raws[-1]
             self._raw, self._last = raws[-1], times[-1]
             return Mapped(np.array(times, np.int64), [], 0, 0)
         return self._one_by_one(raws, arrival, self._pause(raws) if after_pause else -1)
@@ -90,13 +105,23 @@ class LslStamps:
         gaps: list[tuple[int, int]] = []
         backwards = impossible = 0
         floor = self._last + 1 if self._last is not None else None
+        shifted = 0.0
         for i, raw in enumerate(raws):
-            if not oldest < raw < newest:
+            raw += shifted
+            is_possible = oldest < raw < newest
+            if is_possible and raw >= self._good - BACK_S:
+                self._strange, self._good = 0, raw
+            elif self._is_another_clock(raw) and isfinite(raws[-1]):
+                more = arrival - shifted - raws[-1]
+                raw, shifted, is_possible = raw + more, shifted + more, True
+                self._good = raw
+                gaps.append((i, -1))
+            if not is_possible:
                 raw, impossible = arrival, impossible + 1
             if self._correction != self._target:
                 shift = self._slew(raw)
             lost = leaps.before(raw, pause=i == pause) if leaps else -(i == pause)
-            if lost:
+            if lost and (not gaps or gaps[-1][0] != i):
                 gaps.append((i, lost))
             time = round(raw * NS) + shift
             if floor is not None and time < floor:
@@ -105,7 +130,17 @@ class LslStamps:
             self._raw, floor = raw, time
             times.append(time)
         self._last = times[-1]
-        return Mapped(np.array(times, np.int64), gaps, backwards, impossible)
+        self._moved += shifted
+        return Mapped(np.array(times, np.int64), gaps, backwards, impossible, shifted)
+
+    def _is_another_clock(self, raw: float) -> bool:
+        """Whether this stamp, which does not follow the ones before, is the last of enough of them."""
+        self._strange = self._strange + 1 if abs(raw - self._strange_at) < NEAR_S else 1
+        self._strange_at = raw
+        if self._strange < SURE:
+            return False
+        self._strange = 0
+        return True
 
     @property
     def _shift(self) -> int:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kinegraph.devices.lsl.clock import SenderClock
-from kinegraph.devices.lsl.stamps import NEWEST_S, STEADY_S, LslStamps
+from kinegraph.devices.lsl.stamps import NEWEST_S, STEADY_S, SURE, LslStamps
 from kinegraph.stream.chunk import NS, Samples
 
 ZERO = 1_700_000_000 * NS
@@ -140,6 +140,28 @@ def test_a_stamp_that_cannot_be_is_replaced_by_its_arrival(bad: float, rate_hz: 
     assert ((found.time >= ZERO + round(BEGIN * NS)) & (found.time <= arrival(stamps))).all()
     after = by.map(even(60)[30:], arrival(even(60)))
     assert after.impossible == 0 and (after.time > found.time[-1]).all()
+
+
+@pytest.mark.parametrize("epoch", [1.7e9 - BEGIN, -BEGIN, 1e12])
+def test_stamps_of_another_epoch_keep_their_pace(epoch: float) -> None:
+    by, stamps = LslStamps(RATE, ZERO), even(5000)
+    found = [by.map(stamps[k : k + 50] + epoch, arrival(stamps[k : k + 50])) for k in range(0, 5000, 50)]
+    assert found[0].shifted_s == pytest.approx(-epoch, abs=0.01) and not any(one.shifted_s for one in found[1:])
+    assert found[0].gaps == [(SURE - 1, -1)] and not any(one.gaps or one.impossible for one in found[1:])
+    off = np.concatenate([one.time for one in found[1:]]) - ZERO - np.round(stamps[50:] * NS)
+    assert np.abs(off).max() < 0.01 * NS
+
+
+def test_a_clock_that_is_set_back_makes_a_gap_and_keeps_its_pace() -> None:
+    by, stamps = LslStamps(RATE, ZERO), even(5000)
+    found = []
+    for k in range(0, 5000, 50):
+        sent = stamps[k : k + 50] - (20.0 if k >= 2000 else 0.0)
+        found.append(by.map(sent, arrival(stamps[k : k + 50])))
+    assert sum(one.shifted_s for one in found) == pytest.approx(20.0, abs=0.01)
+    assert [(k, one.gaps) for k, one in enumerate(found) if one.gaps] == [(40, [(SURE - 1, -1)])]
+    off = np.concatenate([one.time for one in found]) - ZERO - np.round(stamps * NS)
+    assert np.abs(off[2050:]).max() < 0.01 * NS and (np.diff(np.concatenate([one.time for one in found])) >= 0).all()
 
 
 @given(st.lists(st.floats(), min_size=1, max_size=30), st.integers(1, 7))
