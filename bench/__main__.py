@@ -41,10 +41,10 @@ def main() -> None:
             if name in only:
                 print(f"{name} ...", file=sys.stderr, flush=True)
                 sections += measure()
-        told = about(field, load, time.monotonic() - began)
-    print(whole(sections, told))
+        result = about(field, load, time.monotonic() - began)
+    print(whole(sections, result))
     if given.write:
-        publish(sections, told, "lab/performance.md")
+        publish(sections, result, "lab/performance.md")
 
 
 def measures(field: Field, *, quick: bool, hours: float) -> dict[str, Callable[[], list[Section]]]:

@@ -162,8 +162,8 @@ def main() -> None:
         off = 100 * np.linalg.norm(markers - clip.truth, axis=2)
         exchanged = [0, *(i for j in range(1, 13, 2) for i in (j + 1, j))]
         flips = 100 * np.linalg.norm(markers[:, exchanged] - clip.truth, axis=2).mean(1) + 5 < off.mean(1)
-        told = (np.mean(flips), longest(flips))
-        print(row(name, off, confidence, told), flush=True)
+        result = (np.mean(flips), longest(flips))
+        print(row(name, off, confidence, result), flush=True)
         for names in (group, "dev, front" if name in DEV[:6] else ""):
             groups.setdefault(names, []).append((off, confidence))
         for part, times in chain.costs.items():

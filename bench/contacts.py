@@ -133,8 +133,8 @@ def run(operator: Contacts[Any], spec: StreamSpec, seconds: Array, samples: Arra
     """Onsets and times of decision in s, of touch-downs and lift-offs."""
     operator.open({"in": spec})
     time = START_NS + np.round(seconds * NS).astype(np.int64)
-    told = operator.process("in", Chunk(time, np.ascontiguousarray(samples), int(time[-1])))
-    return {name: ((c.data["onset"] - START_NS) / NS, (c.time - START_NS) / NS) for name, c in told}
+    result = operator.process("in", Chunk(time, np.ascontiguousarray(samples), int(time[-1])))
+    return {name: ((c.data["onset"] - START_NS) / NS, (c.time - START_NS) / NS) for name, c in result}
 
 
 def score(
@@ -144,10 +144,10 @@ def score(
 ) -> tuple[Score, Score]:
     """Touch-downs and lift-offs of one foot and trial."""
     spec, walk = change(walk)
-    told = run(operator(), spec, walk.seconds, walk.samples)
+    result = run(operator(), spec, walk.seconds, walk.samples)
     down, up = Score(), Score()
-    down.add(*told["touchdown"], walk.touchdown)
-    up.add(*told["liftoff"], walk.liftoff)
+    down.add(*result["touchdown"], walk.touchdown)
+    up.add(*result["liftoff"], walk.liftoff)
     return down, up
 
 
@@ -286,10 +286,10 @@ def markers(folder: Path, console: Console) -> None:
             spec = StreamSpec(path.shape[1:], rate_hz=100.0, channels=names, units=("mm",))
             for side in "LR":
                 operator = MarkerContacts(marker=side + foot, reference=side + reference if reference else "")
-                told = run(operator, spec, np.arange(len(path)) / 100.0, path)
+                result = run(operator, spec, np.arange(len(path)) / 100.0, path)
                 truth = zeni(path, names.index(side + foot), names.index(side + "HIP"))
-                down.add(*told["touchdown"], truth[0], 0.15)
-                up.add(*told["liftoff"], truth[1], 0.15)
+                down.add(*result["touchdown"], truth[0], 0.15)
+                up.add(*result["liftoff"], truth[1], 0.15)
         rows[label] = down, up
     _print(console, "Markers against Zeni's offline method (150 ms)", rows)
 

@@ -74,12 +74,12 @@ def codec(frame: np.ndarray, rounds: int) -> list[str]:
     }
     if find_spec("PIL") is not None:
         ways["PNG"] = lambda: _png(frame)
-    told = [
+    lines = [
         f"{name} {frame.nbytes / len(way()):.2f} in {short(median_us(way, rounds) / 1000)} ms"
         for name, way in ways.items()
     ]
     body = memoryview(packer.pack(0, 0, frame))
-    return [*told, f"unpacking {short(median_us(lambda: unpack(body), rounds) / 1000)} ms"]
+    return [*lines, f"unpacking {short(median_us(lambda: unpack(body), rounds) / 1000)} ms"]
 
 
 def _png(frame: np.ndarray) -> bytes:
@@ -93,7 +93,7 @@ def _png(frame: np.ndarray) -> bytes:
 def recorded(frames: list[np.ndarray]) -> list[str]:
     """What a frame takes on the disk, kept in each way."""
     spec = StreamSpec((HEIGHT, WIDTH), np.dtype(np.uint16), 30.0)
-    times, told = grid(30.0, 60), []
+    times, sizes = grid(30.0, 60), []
     for kept in ("packed", "image", "outline"):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "one.mcap"
@@ -103,8 +103,8 @@ def recorded(frames: list[np.ndarray]) -> list[str]:
                 for i, time in enumerate(times):
                     chunk = Chunk(times[i : i + 1], frames[i % len(frames)][None], int(time))
                     recorder.write(number, chunk, int(time), i)
-            told.append(f"{kept} {short(path.stat().st_size / len(times) / 1000)}")
-    return told
+            sizes.append(f"{kept} {short(path.stat().st_size / len(times) / 1000)}")
+    return sizes
 
 
 def smooth() -> np.ndarray:

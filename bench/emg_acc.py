@@ -136,9 +136,9 @@ def table(folder: Path, most: int = 0) -> Section:
     strides = np.array([n for _, _, n in recordings])
     rows = []
 
-    def add(name: str, told: list[dict[str, Array]]) -> None:
+    def add(name: str, results: list[dict[str, Array]]) -> None:
         counted, certain, cuts = [], 0, 0
-        for found in told:
+        for found in results:
             repeats = found["primitive"][found["primitive"]["repetition"] > 0]
             sure = found["activity"]["activity"][found["activity"]["certainty"] > 0.0]
             # a repetition that is found as two steps is one

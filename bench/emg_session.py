@@ -68,7 +68,7 @@ class Outcome:
     left_in: Numbers
     alarms: list[tuple[float, str, str]]
     cycles: int
-    said: list[str]
+    remarks: list[str]
     hang: dict[str, float]
 
 
@@ -98,24 +98,24 @@ def analysed(
         if row["state"] == "on"
     ]
     last = len(emg[0].channels)
-    said = [f"{r['name']} {r['session_flag']}" for r in quality[2][-last:] if r["session_flag"] != "good"]
+    remarks = [f"{r['name']} {r['session_flag']}" for r in quality[2][-last:] if r["session_flag"] != "good"]
     judged = {(int(row["number"]), str(row["name"])): int(row["used"]) for row in kept["judged"][2]}
     out = sum(used == 0 for used in judged.values())
-    said += [f"{out} cycles of a muscle left out"] if out else []
+    remarks += [f"{out} cycles of a muscle left out"] if out else []
     closed = {int(row["number"]): str(row["rejected"]) for row in left["closed"][2]}
     rejected = [reason for reason in closed.values() if reason]
-    said += [f"{len(rejected)} cycles rejected: {', '.join(sorted(set(rejected)))}"] if rejected else []
+    remarks += [f"{len(rejected)} cycles rejected: {', '.join(sorted(set(rejected)))}"] if rejected else []
     rows = drive(CycleStatistics(), left)["out"][2]
     hang = {name: _mean(rows["contact_pct"][rows["name"] == name]) for name in left["cycles"][0].channels}
-    return Outcome(_numbers(both), _numbers(left), sorted(alarms), len(closed) - len(rejected), said, hang)
+    return Outcome(_numbers(both), _numbers(left), sorted(alarms), len(closed) - len(rejected), remarks, hang)
 
 
 def _numbers(streams: dict[str, Stream]) -> Numbers:
     """Means over the accepted cycles; a cycle that was reported again counts as it was last."""
     closed = {int(row["number"]): row for row in streams["closed"][2]}
     good = [row for row in closed.values() if not row["rejected"]]
-    told = next(iter(drive(CycleStatistics(), streams).values()))[2]
-    rows = {(int(row["number"]), str(row["name"])): row for row in told if not closed[int(row["number"])]["rejected"]}
+    result = next(iter(drive(CycleStatistics(), streams).values()))[2]
+    rows = {(int(row["number"]), str(row["name"])): row for row in result if not closed[int(row["number"])]["rejected"]}
     made = {("", name): _mean(row[field] for row in good) for field, name in OF_A_CYCLE.items()}
     for muscle in streams["cycles"][0].channels:
         mine = [row for (_, name), row in rows.items() if name == muscle]
@@ -136,7 +136,7 @@ def table_row(name: str, begin_s: float, now: Outcome, whole: Outcome) -> tuple[
     noticed = (
         f"{first[1]}: {first[2]}"
         if first
-        else "; ".join(s for s in now.said if s not in whole.said) or ("-" if now is whole else "not")
+        else "; ".join(s for s in now.remarks if s not in whole.remarks) or ("-" if now is whole else "not")
     )
     after = f"{first[0] - begin_s:.1f} s" if first else "at the end" if noticed not in ("-", "not") else "-"
     changes = {

@@ -74,11 +74,11 @@ def trained(x: Any, y: Any, random: np.random.Generator) -> dict[str, Any]:
 def turned_round(weights: dict[str, Any], x: Any, y: Any) -> float:
     """The share of shapes whose heading is more than 90 degrees off."""
     kept = [weights[name].astype(float) for name in ("hidden", "hidden_bias", "out", "out_bias")]
-    told = np.empty(2)
+    result = np.empty(2)
     wrong = 0
     for shape, truth in zip(x, y, strict=True):
-        facing_of(shape.reshape(2, CELLS, CELLS), *kept, told)
-        wrong += float(told @ truth) < 0.0
+        facing_of(shape.reshape(2, CELLS, CELLS), *kept, result)
+        wrong += float(result @ truth) < 0.0
     return wrong / len(x)
 
 
@@ -94,8 +94,8 @@ def main() -> None:
     weights = trained(*rendered(room, sequences, given.poses, random), random)
     x, y = rendered(studio(folder, "female"), list(HELD_OUT), max(50, given.poses // 8), random)
     share = turned_round(weights, x, y)
-    told = f"{given.poses} rendered poses of one mesh in {len(sequences)} motion sequences, at random headings"
-    write_model(given.output, "facing", {"trained_on": told}, weights)
+    text = f"{given.poses} rendered poses of one mesh in {len(sequences)} motion sequences, at random headings"
+    write_model(given.output, "facing", {"trained_on": text}, weights)
     print(f"{given.output}: of {len(x)} poses of another mesh and other sequences {100 * share:.1f} % are turned round")
 
 

@@ -95,14 +95,14 @@ def watched(hours: float, seed: int, muscle: str, **settings: int) -> tuple[int,
     found = sum(state == "on" for _, state in watch.walk(first))
     for _ in range(round(hours * 60 - 5)):
         found += sum(state == "on" for _, state in watch.walk(walked(rng, 57, muscle)))
-    told = list[float]()
+    delays = list[float]()
     for _, change in CHANGES:
         again = DriftWatch(**settings)
         for _ in again.walk(first):
             pass
         now = [n - before for n, state in again.walk(change(walked(rng, 57, muscle))) if state == "on"]
-        told.append(now[0] if now else np.inf)
-    return found, told
+        delays.append(now[0] if now else np.inf)
+    return found, delays
 
 
 def alarms(hours: float, seeds: list[int], muscles: list[str], **settings: int) -> None:
@@ -111,7 +111,7 @@ def alarms(hours: float, seeds: list[int], muscles: list[str], **settings: int) 
         runs = [watched(hours, seed, muscle, **settings) for seed in seeds]
         late = list[str]()
         for k, (name, _) in enumerate(CHANGES):
-            cycles = sorted(told[k] for _, told in runs)
+            cycles = sorted(reported[k] for _, reported in runs)
             late.append(f"{name}: {np.median(cycles):g} ({', '.join(f'{c:g}' for c in cycles)})")
         say(
             f"{muscle}: false alarms {[found for found, _ in runs]} by seed; told after so many cycles, median (each): {'; '.join(late)}"

@@ -62,8 +62,8 @@ def regular(data: Array, rate_hz: float = RATE) -> Series:
 
 def segment(features: Series, operator: Segment | None = None, mirror: Mirror | None = None) -> Found:
     """What is found in stacked features."""
-    told = events(features, operator or Segment(), mirror)
-    activity, primitive, merge, radii = (told[name] for name in ("activity", "primitive", "merge", "radius"))
+    result = events(features, operator or Segment(), mirror)
+    activity, primitive, merge, radii = (result[name] for name in ("activity", "primitive", "merge", "radius"))
     return Found(
         _spans(activity, features),
         activity["transition"],

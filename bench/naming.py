@@ -35,9 +35,9 @@ def repetitions(features: Series, path: Path) -> tuple[Shown, float]:
     with np.load(path) as archive:
         labels, names = archive["label"], [str(name) for name in archive["label_names"]]
         every_s = 1.0 / float(archive["rate"])
-    told = events(features, Segment())
+    result = events(features, Segment())
     found: Shown = {}
-    for event in told["primitive"][told["primitive"]["repetition"] > 0]:
+    for event in result["primitive"][result["primitive"]["repetition"] > 0]:
         first, last = np.searchsorted(features.stamps, [event["onset"], event["end"] + 1])
         span = (np.array([event["onset"], event["end"]]) / 1e9 / every_s).astype(int)
         mine = labels[span[0] : span[1] + 1]
@@ -45,7 +45,7 @@ def repetitions(features: Series, path: Path) -> tuple[Shown, float]:
         if len(mine) and last - first > 1:
             name = names[int(np.bincount(mine).argmax())]
             found.setdefault(name, []).append(np.ascontiguousarray(features.data[first:last]))
-    return found, float(np.median(told["radius"]["radius"])) if len(told["radius"]) else 0.0
+    return found, float(np.median(result["radius"]["radius"])) if len(result["radius"]) else 0.0
 
 
 def named(model: Taught, done: Shown) -> list[tuple[str, str]]:
@@ -56,9 +56,9 @@ def named(model: Taught, done: Shown) -> list[tuple[str, str]]:
 def compare(shown: Shown, radius: float, done: Shown) -> list[str]:
     """Right, wrong and unknown of the repetitions whose exercise was shown; unknown of those whose exercise was left out."""
     both = sorted(set(shown) & set(done))
-    said = named(taught([(name, shown[name]) for name in shown], radius), {name: done[name] for name in both})
-    right = sum(name == called for name, called in said)
-    unknown = sum(called == UNKNOWN for _, called in said)
+    names = named(taught([(name, shown[name]) for name in shown], radius), {name: done[name] for name in both})
+    right = sum(name == called for name, called in names)
+    unknown = sum(called == UNKNOWN for _, called in names)
     left = []
     for name in both:
         rest = [(other, shown[other]) for other in shown if other != name]
@@ -66,8 +66,8 @@ def compare(shown: Shown, radius: float, done: Shown) -> list[str]:
             left += [called == UNKNOWN for _, called in named(taught(rest, radius), {name: done[name]})]
     chance = 1.0 / max(1, len(shown))
     return [
-        str(len(both)), str(len(said)), f"{right / max(1, len(said)):.0%}", f"{(len(said) - right - unknown) / max(1, len(said)):.0%}",
-        f"{unknown / max(1, len(said)):.0%}", f"{np.mean(left):.0%}" if left else "–", f"{chance:.0%}",
+        str(len(both)), str(len(names)), f"{right / max(1, len(names)):.0%}", f"{(len(names) - right - unknown) / max(1, len(names)):.0%}",
+        f"{unknown / max(1, len(names)):.0%}", f"{np.mean(left):.0%}" if left else "–", f"{chance:.0%}",
     ]  # fmt: skip
 
 
@@ -86,12 +86,12 @@ def naming(sets: Sets) -> Section:
     rows = []
     for kind, found in sets.items():
         for one, other in permutations(found, 2):
-            whose = "the same person" if one[:2] == other[:2] else "another person"
+            owner = "the same person" if one[:2] == other[:2] else "another person"
             shown, radius = found[one]
             try:
-                rows.append([f"{kind}: {one}", f"{other}, {whose}", *compare(shown, radius, found[other][0])])
+                rows.append([f"{kind}: {one}", f"{other}, {owner}", *compare(shown, radius, found[other][0])])
             except KinegraphError as error:
-                rows.append([f"{kind}: {one}", f"{other}, {whose}", str(error), *[""] * 6])
+                rows.append([f"{kind}: {one}", f"{other}, {owner}", str(error), *[""] * 6])
     head = [
         "shown in", "named in", "exercises in both", "repetitions", "right", "wrong", "unknown", "unknown if not shown", "right by chance",
     ]  # fmt: skip

@@ -42,9 +42,9 @@ def live(rounds: int, seconds: float) -> Section:
     for _ in range(rounds):
         for name, kind in KINDS.items():
             turns[name].append(take_turn(GRAPH, "signal", seconds=seconds, **kind))
-    none = [float(np.percentile(t.graph, 99)) for t in turns["no page"]]
+    without_page = [float(np.percentile(t.graph, 99)) for t in turns["no page"]]
     against = {
-        name: float(np.median([np.percentile(t.graph, 99) / p99 for t, p99 in zip(taken, none, strict=True)]))
+        name: float(np.median([np.percentile(t.graph, 99) / p99 for t, p99 in zip(taken, without_page, strict=True)]))
         for name, taken in turns.items()
     }
     header = ["", "graph ms p50, p99", "p99 against none", "client ms p50, p99", "updates/s", "session %", "server %"]
@@ -79,9 +79,9 @@ def row(name: str, taken: list[Turn], against: float) -> list[str]:
 
 def promises(turns: dict[str, list[Turn]], against: dict[str, float], noise: float) -> list[Goal]:
     """What was promised of all that."""
-    none, one, five = (turns[name] for name in ("no page", "one client", "five clients"))
+    without_page, one, five = (turns[name] for name in ("no page", "one client", "five clients"))
     ages = np.concatenate([t.ages for t in one])
-    ratio = float(np.median([a.session / b.session for a, b in zip(one, none, strict=True)]))
+    ratio = float(np.median([a.session / b.session for a, b in zip(one, without_page, strict=True)]))
     harmless = [name for name in KINDS if name.startswith(("twenty", "one client, and", "the server killed"))]
     return [
         Goal("page: sample to message, p50", float(np.percentile(ages, 50)), 40, "ms"),

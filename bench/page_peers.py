@@ -102,9 +102,9 @@ def watch_timeflux(port: int, turn: Turn, stop: threading.Event) -> None:
     with connected(f"ws://127.0.0.1:{port}/ws?uuid=bench") as client:
         client.send(json.dumps({"command": "subscribe", "payload": "board"}))
         while not stop.is_set():
-            told = json.loads(client.recv(timeout=PATIENCE_S))
-            if told["command"] == "stream" and told["payload"]["data"]:
-                turn.ages.append(1000 * time.time() - max(map(int, told["payload"]["data"])))
+            record = json.loads(client.recv(timeout=PATIENCE_S))
+            if record["command"] == "stream" and record["payload"]["data"]:
+                turn.ages.append(1000 * time.time() - max(map(int, record["payload"]["data"])))
                 turn.begun.set()
 
 
@@ -112,14 +112,14 @@ def watch_foxglove(port: int, turn: Turn, stop: threading.Event) -> None:
     """Subscribe as Foxglove does."""
     with connected(f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")]) as client:
         while not stop.is_set():
-            told = client.recv(timeout=PATIENCE_S)
-            if isinstance(told, bytes):
-                if told[0] == 1:
-                    json.loads(told[MESSAGE.size :])
-                    turn.ages.append((time.time_ns() - MESSAGE.unpack_from(told)[2]) / 1e6)
+            result = client.recv(timeout=PATIENCE_S)
+            if isinstance(result, bytes):
+                if result[0] == 1:
+                    json.loads(result[MESSAGE.size :])
+                    turn.ages.append((time.time_ns() - MESSAGE.unpack_from(result)[2]) / 1e6)
                     turn.begun.set()
-            elif (said := json.loads(told))["op"] == "advertise":
-                wanted = [{"id": 1, "channelId": said["channels"][0]["id"]}]
+            elif (record := json.loads(result))["op"] == "advertise":
+                wanted = [{"id": 1, "channelId": record["channels"][0]["id"]}]
                 client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
 

@@ -119,9 +119,9 @@ def session(folder: Path, graph: str, *, page: bool) -> Iterator[tuple[subproces
     log = folder / "said.txt"
     command = [sys.executable, "-m", "kinegraph", "run", str(folder / "g.yaml"), "--no-record", "--view", "none"]
     environment = {**os.environ, "PYTHONPATH": str(HOUSE)}
-    with log.open("wb") as said, subprocess.Popen(
+    with log.open("wb") as log_file, subprocess.Popen(
         [*command, *(["--page-at", ":0", "--no-token"] if page else [])],
-        cwd=folder, stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=environment,
+        cwd=folder, stdout=log_file, stderr=log_file, stdin=subprocess.DEVNULL, env=environment,
     ) as process:  # fmt: skip
         try:
             found, begun = None, folder / "ages.begun"

@@ -86,8 +86,10 @@ def stall(url: str, stop: threading.Event) -> None:
 
 def servers(process: subprocess.Popen[bytes]) -> list[int]:
     """The processes that a session has started."""
-    told = subprocess.run(["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True, check=False)
-    return [*map(int, told.stdout.split())]
+    output = subprocess.run(
+        ["ps", "-o", "pid=", "--ppid", str(process.pid)], capture_output=True, text=True, check=False
+    )
+    return [*map(int, output.stdout.split())]
 
 
 def kill(process: subprocess.Popen[bytes], stop: threading.Event) -> None:

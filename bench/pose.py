@@ -115,13 +115,13 @@ def main() -> None:
         for names, noise_m in ((USUAL, 0.0), (NINE, 0.0), (USUAL, 0.03)):
             what = f"{len(names)}{' noisy' if noise_m else ''}"
             for method, row in measured(tree, motion, unseen, names, noise_m, given.centres).items():
-                print(f"{'+'.join(unseen)} | {what} | {method} | {told(row)}", flush=True)
+                print(f"{'+'.join(unseen)} | {what} | {method} | {described(row)}", flush=True)
                 totals.setdefault((what, method), []).append(row)
     for (what, method), rows in totals.items():
-        print(f"all | {what} | {method} | {told(_mean(rows))}")
+        print(f"all | {what} | {method} | {described(_mean(rows))}")
 
 
-def told(row: Row) -> str:
+def described(row: Row) -> str:
     return f"{row[0]:.3f} | {row[1]:.2f} | {row[2]:.0f} | {row[3]:.0f}"
 
 

@@ -73,10 +73,10 @@ def main() -> None:
             if noise:
                 marks = filtered(marks + np.random.default_rng(30).normal(0.0, noise, marks.shape))
             of.append(foot_steps(*played(marks), joints_of(tree, poses)[1]))
-        print(f"{1000 * noise:.0f} | {told(FootSteps(*map(np.concatenate, zip(*of, strict=True))))}")
+        print(f"{1000 * noise:.0f} | {described(FootSteps(*map(np.concatenate, zip(*of, strict=True))))}")
 
 
-def told(feet: FootSteps) -> str:
+def described(feet: FootSteps) -> str:
     """A row of the table."""
     then, where, leaps = (
         100 * one for one in (feet.slides[feet.stands], feet.slides[feet.truly], feet.leaps[feet.released])

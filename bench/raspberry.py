@@ -119,8 +119,8 @@ class Arrivals(Outlet[ArrivalsState, Told]):
             self.runtime.epochs += ((now - chunk.data["end"][~chunk.data["final"]]) / 1e6).tolist()
 
     def close(self) -> None:
-        told = {"motion": self.runtime.motion, "epochs": self.runtime.epochs}
-        Path(self.path).write_text(json.dumps(told), encoding="utf-8")
+        facts = {"motion": self.runtime.motion, "epochs": self.runtime.epochs}
+        Path(self.path).write_text(json.dumps(facts), encoding="utf-8")
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,10 +232,10 @@ def measured(share: float, seconds: float, folder: Path) -> Budget:
             cpu, (periods_after, full_after) = group.used_s() - start_cpu, group.throttled()
             process.terminate()
             code = process.wait(300)
-    told = json.loads((folder / "arrivals.json").read_text(encoding="utf-8"))
+    record = json.loads((folder / "arrivals.json").read_text(encoding="utf-8"))
     dropped = re.findall(r"dropped (\d+), gaps (\d+)", (folder / "log.txt").read_text())
     return Budget(
-        share, start_s, start_cpu, cpu / seconds, periods_after - periods, full_after - full, told["motion"], told["epochs"],
+        share, start_s, start_cpu, cpu / seconds, periods_after - periods, full_after - full, record["motion"], record["epochs"],
         sum(map(int, dropped[-1])) if dropped else -1, code,
     )  # fmt: skip
 

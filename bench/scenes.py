@@ -156,12 +156,12 @@ def scored(scene: Visited) -> Confusion:
     events = events[events["final"]]
     truth = truth_of(scene)
     at = {int(t): k for k, t in enumerate(truth["onset"])}
-    told = np.full(len(truth), "unknown", "<U8")
+    result = np.full(len(truth), "unknown", "<U8")
     for event in events:
         if int(event["onset"]) in at:
-            told[at[int(event["onset"])]] = str(event["state"])
+            result[at[int(event["onset"])]] = str(event["state"])
     in_bed = truth["in_bed_s"] == EPOCH_S
-    return Confusion.of(coded(told)[in_bed], coded(true_states(truth)[: len(truth)])[in_bed])
+    return Confusion.of(coded(result)[in_bed], coded(true_states(truth)[: len(truth)])[in_bed])
 
 
 def coded(names: Array) -> States:

@@ -88,9 +88,9 @@ def counted(path: Path) -> list[tuple[str, str, int, int, int]]:
                 for sensor, (axes, steps) in SENSORS.items():
                     raw = Series(IMU, np.round((packet - packet[0]) * NS / 100), x)
                     own = sensor == SHIPPED
-                    told = told_by("segment_imu", "sensor", raw) if own else chosen(raw, axes, steps)
-                    sure = told["activity"]["activity"][told["activity"]["certainty"] > 0.0]
-                    repeats = told["primitive"][told["primitive"]["repetition"] > 0]
+                    result = told_by("segment_imu", "sensor", raw) if own else chosen(raw, axes, steps)
+                    sure = result["activity"]["activity"][result["activity"]["certainty"] > 0.0]
+                    repeats = result["primitive"][result["primitive"]["repetition"] > 0]
                     certain = int(np.isin(repeats["activity"], sure).sum())
                     made.append((place, sensor, strides, len(repeats), certain))
     return made
@@ -151,16 +151,16 @@ def muscles(folder: Path) -> Section:
 
 def emg(name: str, x: Array, cycles: int) -> list[str]:
     raw = Series(StreamSpec((x.shape[1],), rate_hz=1000.0, units=("uV",)), np.arange(len(x)) * NS // 1000, x)
-    with capture_logs() as said:
-        told = told_by("segment_emg", "board", raw)
-    activity = told["activity"]
-    repeats = told["primitive"][told["primitive"]["repetition"] > 0]
+    with capture_logs() as entries:
+        result = told_by("segment_emg", "board", raw)
+    activity = result["activity"]
+    repeats = result["primitive"][result["primitive"]["repetition"] > 0]
     sure = activity["certainty"] > 0.0
     certain = np.isin(repeats["activity"], activity["activity"][sure]).sum()
     minutes = len(x) / 60000
     return [
         name, f"{len(x) / 1000:.0f}", str(cycles) if cycles >= 0 else "not annotated", str(len(repeats)), str(certain),
-        f"{len(activity) / minutes:.0f}", f"{sure.sum() / minutes:.0f}", "yes" if said else "no",
+        f"{len(activity) / minutes:.0f}", f"{sure.sum() / minutes:.0f}", "yes" if entries else "no",
     ]  # fmt: skip
 
 

@@ -44,8 +44,8 @@ def sides(folder: Path) -> Section:
 
 def _row(series: Series, mirror: Mirror, path: Path, pose: Array | None = None) -> list[str]:
     features = series.through(Stack())
-    told = events(features, Segment(), mirror)
-    found, merge = told["primitive"], told["merge"]
+    result = events(features, Segment(), mirror)
+    found, merge = result["primitive"], result["merge"]
     clusters = merged(found["cluster"], zip(merge["cluster"].tolist(), merge["into"].tolist(), strict=True))
     second = second_steps(found)
     assert second is not None

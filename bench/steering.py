@@ -70,7 +70,7 @@ def spread_markers(rest: Samples, faces: Array, count: int = 12) -> dict[str, in
     return {f"m{k}": vertex for k, vertex in enumerate(found)}
 
 
-def told(name: str, made: Samples, truth: Samples, diagonal: float) -> None:
+def report(name: str, made: Samples, truth: Samples, diagonal: float) -> None:
     error = 100.0 * np.linalg.norm(made - truth, axis=-1) / diagonal
     print(f"{name} | {error.mean():.3f} | {np.percentile(error, 95):.2f} | {error.max():.2f}", flush=True)
 
@@ -108,19 +108,19 @@ def main() -> None:
         print(f"live: {live(one, frames, faces):.0f} us a frame of {frames.shape[1]} vertices, median ({name})")
     print("method | mean % | p95 % | max %")
     marks = test[:, model.vertices]
-    told(f"chosen: {way}", chosen(marks, frames.shape[1]), test, diagonal)
-    told(
+    report(f"chosen: {way}", chosen(marks, frames.shape[1]), test, diagonal)
+    report(
         "the same, markers that do not pull",
         replace(chosen, soft=np.zeros((0, 0)))(marks, frames.shape[1]),
         test,
         diagonal,
     )
     by_parts = choose(train, faces, markers, reference, method="parts")[0]
-    told("parts, markers pull", by_parts(marks, frames.shape[1]), test, diagonal)
-    told("part model, kernel ridge", model(marks, frames.shape[1]), test, diagonal)
+    report("parts, markers pull", by_parts(marks, frames.shape[1]), test, diagonal)
+    report("part model, kernel ridge", model(marks, frames.shape[1]), test, diagonal)
     local = choose(train, faces, markers, reference, method="local")[0]
-    told("local, markers pull", local(marks, frames.shape[1]), test, diagonal)
-    told("local", replace(local, soft=np.zeros((0, 0)))(marks, frames.shape[1]), test, diagonal)
+    report("local, markers pull", local(marks, frames.shape[1]), test, diagonal)
+    report("local", replace(local, soft=np.zeros((0, 0)))(marks, frames.shape[1]), test, diagonal)
     earlier = frames[np.flatnonzero(np.arange(len(frames)) % every) - 1][:, model.vertices]
     as_the_thesis(train, test, earlier, (faces, markers, reference), diagonal)
     for some in ((), limbs):
@@ -140,7 +140,7 @@ def as_the_thesis(
         how = regression_of(train, *mesh, pose=pose, regression=regression, skeleton=skeleton)
         model = fit_steering(train, *mesh, layout=layout, how=how)
         name = f"parts, {pose}, {regression}{', virtual skeleton' if skeleton else ''}"
-        told(name, model(test[:, model.vertices], test.shape[1], earlier), test, diagonal)
+        report(name, model(test[:, model.vertices], test.shape[1], earlier), test, diagonal)
 
 
 def assemblies(
@@ -154,7 +154,7 @@ def assemblies(
         model = replace(choose(train, *mesh, method="parts", how=how)[0], soft=np.zeros((0, 0)))
         words = (greedy and "greedy", optimised and "optimised", shared and "shared")
         name = f"parts, {'limbs' if mesh[3] else 'no limbs'}, {', '.join(word for word in words if word) or 'as predicted'}"
-        told(name, model(test[:, model.vertices], test.shape[1]), test, diagonal)
+        report(name, model(test[:, model.vertices], test.shape[1]), test, diagonal)
         if model.settling:
             print(f"  {live(model, test, mesh[0]):.0f} us a frame; {model.settling.shapes}")
 
@@ -183,15 +183,15 @@ def peers(model: Steering, train: Samples, test: Samples, diagonal: float, faces
     query, moved, _ = model.features(test[:, model.vertices])
     shapes = (train - centre).reshape(len(train), -1)
     nearest = ((query[:, None] - x[None]) ** 2).sum(-1).argmin(axis=1)
-    told("nearest training frame", shapes[nearest].reshape(test.shape) + moved, test, diagonal)
+    report("nearest training frame", shapes[nearest].reshape(test.shape) + moved, test, diagonal)
     straight = learn(x, shapes)
-    told("kernel ridge straight to vertices", straight(query).reshape(test.shape) + moved, test, diagonal)
+    report("kernel ridge straight to vertices", straight(query).reshape(test.shape) + moved, test, diagonal)
     mean, ones = shapes.mean(axis=0), x.mean(axis=0)
     left = (x - ones).T @ (x - ones)
     weights = np.linalg.solve(
         left + 1e-2 * np.trace(left) / len(left) * np.eye(len(left)), (x - ones).T @ (shapes - mean)
     )
-    told("linear ridge to vertices", ((query - ones) @ weights + mean).reshape(test.shape) + moved, test, diagonal)
+    report("linear ridge to vertices", ((query - ones) @ weights + mean).reshape(test.shape) + moved, test, diagonal)
     part = near_rigid_parts(train, edges_of(faces), PARTS)
     others = {
         "linear blend skinning, regressed motions": skinning(x, shapes, part),
@@ -200,8 +200,8 @@ def peers(model: Steering, train: Samples, test: Samples, diagonal: float, faces
         "kernel CCA": canonical(x, shapes, kernel=True),
     }
     for name, peer in others.items():
-        told(name, peer(x, shapes, query).reshape(test.shape) + moved, test, diagonal)
-    told(
+        report(name, peer(x, shapes, query).reshape(test.shape) + moved, test, diagonal)
+    report(
         "the truth, as near as sums of training frames come", nearest_sum(shapes, test - moved), test - moved, diagonal
     )
     apart = np.sqrt(((query[:, None] - x[None]) ** 2).sum(-1).min(axis=1))

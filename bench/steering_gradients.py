@@ -117,10 +117,10 @@ class Turned:
         )
         made = []
         for j, seen in enumerate(marks):
-            said = self.mean + np.einsum("nf,fnc->nc", weights[self.nearest, j], self.off)
-            stretch = np.empty((len(said), 3, 3))
-            stretch[:, SYMMETRIC[0], SYMMETRIC[1]] = stretch[:, SYMMETRIC[1], SYMMETRIC[0]] = said[:, 3:]
-            turns = self.usual @ Rotation.from_rotvec(said[:, :3]).as_matrix()
+            result = self.mean + np.einsum("nf,fnc->nc", weights[self.nearest, j], self.off)
+            stretch = np.empty((len(result), 3, 3))
+            stretch[:, SYMMETRIC[0], SYMMETRIC[1]] = stretch[:, SYMMETRIC[1], SYMMETRIC[0]] = result[:, 3:]
+            turns = self.usual @ Rotation.from_rotvec(result[:, :3]).as_matrix()
             made.append(self.surface.vertices(turns @ stretch, seen))
         return np.array(made)
 

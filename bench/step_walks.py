@@ -218,7 +218,7 @@ ACTIVITIES = (STANDING, WALKING, TURNING)
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Evaluation:
     """What people do by the annotations and as told, in s (3, 4: the last is unknown), once with the onsets and once when each was told.
 
     stood   stretches of standing of 1.2 s or more: most of it told, all
@@ -233,28 +233,28 @@ class Told:
     after: Samples
 
 
-def told(turn_deg: float = 45.0, still_s: float = 1.2, step_deg: float = 20.0) -> Told:
+def evaluate(turn_deg: float = 45.0, still_s: float = 1.2, step_deg: float = 20.0) -> Evaluation:
     onsets, live, after = np.zeros((3, 4)), np.zeros((3, 4)), list[float]()
     stood, stretches, turned, others = 0, 0, 0, 0
     for trial in lower_back():
         stamps, changes = activity_of(trial, turn_deg, still_s, step_deg)
         every = np.arange(trial.stamps[0] / NS, trial.stamps[-1] / NS, 0.01)
         true = np.array([1, 2, -1, -1, 0])[where(every, trial)]
-        said = [np.full(len(every), 3), np.full(len(every), 3)]
+        rows = [np.full(len(every), 3), np.full(len(every), 3)]
         for stamp, row in zip(stamps, changes, strict=True):
-            for at, since in zip(said, (row["onset"], stamp), strict=True):
+            for at, since in zip(rows, (row["onset"], stamp), strict=True):
                 at[every >= since / NS] = (*ACTIVITIES, "unknown").index(str(row["activity"]))
-        for table, at in zip((onsets, live), said, strict=True):
+        for table, at in zip((onsets, live), rows, strict=True):
             np.add.at(table, (true[true >= 0], at[true >= 0]), 0.01)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], true == 0, [0]])))
         long = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= 120]
-        stood, stretches = stood + sum((said[0][a:b] == 0).mean() > 0.5 for a, b in long), stretches + len(long)
+        stood, stretches = stood + sum((rows[0][a:b] == 0).mean() > 0.5 for a, b in long), stretches + len(long)
         turn = changes["activity"] == TURNING
         within = (changes["onset"] / NS > trial.bounds[2] - 1) & (changes["onset"] / NS < trial.bounds[3])
         after += [stamps[turn & within][0] / NS - trial.bounds[2]] if (turn & within).any() else []
         turned += bool((turn & within).any())
         others += int(turn.sum()) - bool((turn & within).any())
-    return Told(onsets, live, (stood, stretches), (turned, len(lower_back()), others), np.array(after))
+    return Evaluation(onsets, live, (stood, stretches), (turned, len(lower_back()), others), np.array(after))
 
 
 def activity_of(trial: Trial, turn_deg: float, still_s: float, step_deg: float) -> tuple[Times, Array]:
@@ -272,16 +272,16 @@ def activity_of(trial: Trial, turn_deg: float, still_s: float, step_deg: float) 
 
 def activities() -> None:
     """Standing, walking and turning beside the annotations, and the constants' neighbours."""
-    found = told()
+    found = evaluate()
     for title, table in (("by onset", found.onsets), ("as it was told", found.live)):
         for name, row in zip(ACTIVITIES, table, strict=True):
-            shares = ", ".join(f"{said} {s:.1f} s" for said, s in zip((*ACTIVITIES, "unknown"), row, strict=True))
+            shares = ", ".join(f"{text} {s:.1f} s" for text, s in zip((*ACTIVITIES, "unknown"), row, strict=True))
             say(f"{title}, {name}: {row.sum():.1f} s, told to be {shares}")
     for name, values, chosen in (
         ("turn_deg", (30.0, 60.0, 90.0), 45.0), ("still_s", (0.9, 1.0, 1.5, 2.0), 1.2), ("step_deg", (10.0, 15.0, 25.0, 30.0), 20.0),
     ):  # fmt: skip
         for value in sorted((*values, chosen)):
-            t = told(**{name: value})
+            t = evaluate(**{name: value})
             right = (np.diag(t.onsets) / t.onsets.sum(axis=1)).tolist()
             shares = ", ".join(f"{what} {share:.3f}" for what, share in zip(ACTIVITIES, right, strict=True))
             say(

@@ -54,16 +54,16 @@ def surrogates(folder: Path, draws: int = 3) -> Section:
         for k, data in enumerate(known):
             for draw in range(1 if name == "as recorded" else draws):
                 x = make(data[np.isfinite(data).all(1)], np.random.default_rng((k, draw)))
-                told = events(regular(x).through(Stack()), Segment())
-                repeats = told["primitive"][told["primitive"]["repetition"] > 0]
-                sure = told["activity"]["activity"][told["activity"]["certainty"] > 0.0]
+                result = events(regular(x).through(Stack()), Segment())
+                repeats = result["primitive"][result["primitive"]["repetition"] > 0]
+                sure = result["activity"]["activity"][result["activity"]["certainty"] > 0.0]
                 certain += int(np.isin(repeats["activity"], sure).sum())
                 cuts += len(sure)
                 count, runs = count + len(repeats), runs + 1
                 within += float((repeats["end"] - repeats["onset"]).sum()) / 1e9
                 total += len(x) / RATE
                 clean += not len(repeats)
-                whole += len(told["activity"]) == 1
+                whole += len(result["activity"]) == 1
         shares = [f"{within / total:.0%}", f"{clean} of {runs}", f"{whole} of {runs}"]
         sure_ = [f"{60 * certain / total:.1f}", f"{60 * cuts / total:.1f}"]
         rows.append([name, f"{60 * count / total:.1f}", *sure_, *shares])

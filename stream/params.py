@@ -198,9 +198,9 @@ def _check_bounds(name: str, value: Any, facts: Mapping[str, Any]) -> None:
         for key, item in value.items():
             _check_bounds(f"{name}.{key}", item, facts)
     elif isinstance(value, int | float) and not isinstance(value, bool):
-        told = [f"{text} {facts[bound]:g}" for bound, (_, text, _) in BOUNDS.items() if bound in facts]
+        lines = [f"{text} {facts[bound]:g}" for bound, (_, text, _) in BOUNDS.items() if bound in facts]
         if not all(holds(value, facts[bound]) for bound, (holds, _, _) in BOUNDS.items() if bound in facts):
-            raise _within(name, ParameterError(name, value, " and ".join(told)))
+            raise _within(name, ParameterError(name, value, " and ".join(lines)))
 
 
 def _check_parts(name: str, given: Any, made: Any) -> None:

@@ -26,8 +26,8 @@ def judged(packages: list[dict[str, Any]]) -> tuple[list[str], bool]:
     ]
     unasked = [package["name"] for package in packages if "skip_reason" in package]
     audited = len(packages) - len(unasked)
-    told = f"; known holes: {len(holes)}" if audited else ""
-    lines = [*holes, f"{audited} of {len(packages)} packages audited{told}"]
+    text = f"; known holes: {len(holes)}" if audited else ""
+    lines = [*holes, f"{audited} of {len(packages)} packages audited{text}"]
     if unasked and len(unasked) == len(packages):
         lines.append(
             "the index answers about none of them: it may be a mirror without this service, and no hole is known or ruled out"
@@ -54,8 +54,8 @@ def main() -> None:
     try:
         packages = json.loads(done.stdout)["dependencies"]
     except ValueError:
-        said = done.stderr.strip().splitlines() or [""]
-        sys.exit(f"the audit could not be made: pip-audit ended with {done.returncode}: {said[-1]}")
+        reported = done.stderr.strip().splitlines() or [""]
+        sys.exit(f"the audit could not be made: pip-audit ended with {done.returncode}: {reported[-1]}")
     lines, well = judged(packages)
     print("\n".join(lines))
     sys.exit(0 if well else 1)

@@ -44,12 +44,12 @@ def apart(path: Path) -> list[str]:
     out, into = os.pipe()
     if not (child := os.fork()):
         os.close(out)
-        with os.fdopen(into, "w") as told:
-            json.dump(met(path), told)
+        with os.fdopen(into, "w") as output:
+            json.dump(met(path), output)
         os._exit(0)
     os.close(into)
-    with os.fdopen(out) as told:
-        text = told.read()
+    with os.fdopen(out) as output:
+        text = output.read()
     os.waitpid(child, 0)
     return [str(name) for name in json.loads(text)] if text else ["it ended without a word"]
 

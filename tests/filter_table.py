@@ -27,18 +27,18 @@ def table() -> str:
 
 
 def _row(name: str, part: type[Operator[Any]]) -> str:
-    said = " ".join((part.__doc__ or "").split("\n\n")[0].split())
-    cells = (f"`{name}`", re.split(r"\.(?= [A-Z]|$)", said)[0], _parameters(part), part.delays, part.references)
+    text = " ".join((part.__doc__ or "").split("\n\n")[0].split())
+    cells = (f"`{name}`", re.split(r"\.(?= [A-Z]|$)", text)[0], _parameters(part), part.delays, part.references)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
 
 
 def _parameters(part: type[Operator[Any]]) -> str:
-    told = []
+    rows = []
     for f in fields(part):  # type: ignore[arg-type]
         if f.name not in USUAL or f.default != USUAL[f.name]:
             default = "" if f.default in (MISSING, None, (), "") else f" {_plain(f.default)}"
-            told.append(f"`{f.name}`{default}")
-    return ", ".join(told)
+            rows.append(f"`{f.name}`{default}")
+    return ", ".join(rows)
 
 
 def _plain(value: object) -> str:

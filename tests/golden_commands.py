@@ -95,10 +95,10 @@ def _evaluate_sleep() -> Iterator[str]:
     rng, lines = np.random.default_rng(5), ["estimate,reference,person"]
     for k in range(5):
         truth = np.repeat(np.array(["W", "N2", "N3", "W", "R", "N1", "W"]), rng.integers(4, 60, 7))
-        told = np.where(rng.random(len(truth)) < 0.1, "wake", np.where(truth == "W", "wake", "sleep"))
-        told[: int(rng.integers(0, 6))] = "sleep"
+        reported = np.where(rng.random(len(truth)) < 0.1, "wake", np.where(truth == "W", "wake", "sleep"))
+        reported[: int(rng.integers(0, 6))] = "sleep"
         write_csv(Path(f"psg{k}.csv"), truth.tolist())
-        write_csv(Path(f"told{k}.csv"), told.tolist())
+        write_csv(Path(f"told{k}.csv"), reported.tolist())
         lines.append(f"told{k}.csv,psg{k}.csv,P{k // 2}")
     Path("nights.csv").write_text("\n".join(lines) + "\n")
     yield "sleep evaluate --nights nights.csv -o all"

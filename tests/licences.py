@@ -20,10 +20,10 @@ WORDS = {
 
 def licence(package: Distribution) -> str:
     """In the package's own words; by its licence file; '' where neither says."""
-    told = package.metadata
-    words = next(filter(None, (told.get(key, "").strip() for key in ("License-Expression", "License"))), "")
+    reported = package.metadata
+    words = next(filter(None, (reported.get(key, "").strip() for key in ("License-Expression", "License"))), "")
     classified = [
-        line.rpartition(" :: ")[2] for line in told.get_all("Classifier", []) if line.startswith("License ::")
+        line.rpartition(" :: ")[2] for line in reported.get_all("Classifier", []) if line.startswith("License ::")
     ]
     if words and words.upper() != "UNKNOWN":
         return by_text(words) or (words if "\n" not in words else ", ".join(classified))

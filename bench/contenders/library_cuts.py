@@ -47,11 +47,11 @@ def pelt(x: Any, cuts: int, penalty: float) -> list[int]:
     return [THIN * int(at) for at in found[:-1]]
 
 
-def clasp(x: Any, cuts: int, told: float) -> list[int]:
+def clasp(x: Any, cuts: int, known: float) -> list[int]:
     from claspy.segmentation import BinaryClaSPSegmentation
 
     made = BinaryClaSPSegmentation(
-        n_segments=cuts + 1 if told else "learn", validation=None if told else "significance_test"
+        n_segments=cuts + 1 if known else "learn", validation=None if known else "significance_test"
     )
     return [int(at) for at in made.fit_predict(np.ascontiguousarray(x))]
 

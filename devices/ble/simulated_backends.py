@@ -57,9 +57,9 @@ class SimulatedScanner(BaseBleakScanner):
         for here in self.around:
             if here.reachable:
                 services = [uuid(one) for one in here.peripheral.advertised]
-                said = AdvertisementData(here.peripheral.name, {}, {}, services, None, -50, ())
-                device = self.create_or_update_device(here.address, here.address, here.peripheral.name, here, said)
-                self.call_detection_callbacks(device, said)
+                result = AdvertisementData(here.peripheral.name, {}, {}, services, None, -50, ())
+                device = self.create_or_update_device(here.address, here.address, here.peripheral.name, here, result)
+                self.call_detection_callbacks(device, result)
 
 
 class SimulatedClient(BaseBleakClient):
@@ -112,12 +112,12 @@ class SimulatedClient(BaseBleakClient):
             if not here.reachable:
                 self._leave()
                 return
-            said = here.peripheral.say(here.seconds)
+            result = here.peripheral.say(here.seconds)
             if not here.injector.stalled(here.seconds):
-                self._pass(said)
+                self._pass(result)
 
-    def _pass(self, said: list[tuple[str, bytes]]) -> None:
-        for name, data in said:
+    def _pass(self, packets: list[tuple[str, bytes]]) -> None:
+        for name, data in packets:
             cut = data[: self._here.mtu - 3]
             for one in self._here.injector.spoil([cut], self._here.seconds):
                 if handler := self._listening.get(uuid(name)):
@@ -136,11 +136,11 @@ class SimulatedClient(BaseBleakClient):
     async def write_gatt_char(self, characteristic: Any, data: Any, response: bool) -> None:
         if self._task is None:
             raise BleakError("not connected")
-        said = self._here.peripheral.receive(characteristic.uuid, bytes(data))
-        asyncio.get_running_loop().call_soon(self._answer, said)
+        result = self._here.peripheral.receive(characteristic.uuid, bytes(data))
+        asyncio.get_running_loop().call_soon(self._answer, result)
 
-    def _answer(self, said: list[tuple[str, bytes]]) -> None:
-        for name, data in said:
+    def _answer(self, replies: list[tuple[str, bytes]]) -> None:
+        for name, data in replies:
             if handler := self._listening.get(uuid(name)):
                 handler(bytearray(data))
 

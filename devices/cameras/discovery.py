@@ -24,11 +24,11 @@ def find_realsense() -> Iterator[FoundDevice]:
         return
     rs = realsense.library()
     for device in rs.context().query_devices():
-        said = [
+        rows = [
             device.get_info(info)
             for info in (rs.camera_info.name, rs.camera_info.serial_number)
             if device.supports(info)
         ]
-        name, serial = (*said, "")[:2]
+        name, serial = (*rows, "")[:2]
         yaml = f'use: devices.cameras.realsense.RealSense\ndevice: "{serial}"'
         yield FoundDevice("realsense", serial, name, yaml)

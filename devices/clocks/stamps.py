@@ -188,8 +188,8 @@ class Stamps:
         if self._last is not None:
             stamp = np.maximum(stamp, self._last)
         self._last = int(stamp[-1])
-        none = np.full(n, -1, np.int64)
-        return Packets(np.ones(n, bool), none, np.zeros(n, np.int64), none, stamp)
+        nothing = np.full(n, -1, np.int64)
+        return Packets(np.ones(n, bool), nothing, np.zeros(n, np.int64), nothing, stamp)
 
 
 class Losses:

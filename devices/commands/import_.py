@@ -57,9 +57,9 @@ def import_(
     from kinegraph.stream.cli.commands import logs
 
     logs.set_up()
-    said = {"stream": stream, "events": events, "time": time, "time_unit": time_unit, "rate": rate, "counter": counter,
+    record = {"stream": stream, "events": events, "time": time, "time_unit": time_unit, "rate": rate, "counter": counter,
             "names": names, "unit": unit, "scale": scale, "meta": meta}  # fmt: skip
-    options = options_of(said, start, repeated=repeated, text_width=text_width, dejitter=dejitter, clock_sync=clock_sync,
+    options = options_of(record, start, repeated=repeated, text_width=text_width, dejitter=dejitter, clock_sync=clock_sync,
                        skip_rows=skip_rows, preview=preview, untried=untried, claims=claims)  # fmt: skip
     facts = {key: value(text) for key, text in pairs("fact", fact, named=True).items()}
     if output is None and not preview:

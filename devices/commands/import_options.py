@@ -16,22 +16,22 @@ if TYPE_CHECKING:
 Many = list[str] | None
 
 
-def options_of(said: Mapping[str, Many], start: str, **flags: Any) -> ImportOptions:
+def options_of(given: Mapping[str, Many], start: str, **flags: Any) -> ImportOptions:
     """The options from every option's texts, when time 0 was, and flags as they are. Raises RecordingError that names the option."""
     from kinegraph.devices.formats.column_table import ImportOptions
 
     return ImportOptions(
-        streams={name: list_of(text) for name, text in pairs("stream", said["stream"], named=True).items()},
-        events=pairs("events", said["events"], named=True),
-        meta=_meta(said["meta"]),
+        streams={name: list_of(text) for name, text in pairs("stream", given["stream"], named=True).items()},
+        events=pairs("events", given["events"], named=True),
+        meta=_meta(given["meta"]),
         begin=moment_of(start),
-        rate=pairs("rate", said["rate"]),
-        time=pairs("time", said["time"]),
-        time_unit=pairs("time-unit", said["time_unit"]),
-        counter=pairs("counter", said["counter"]),
-        names=pairs("names", said["names"]),
-        unit=pairs("unit", said["unit"]),
-        scale=pairs("scale", said["scale"]),
+        rate=pairs("rate", given["rate"]),
+        time=pairs("time", given["time"]),
+        time_unit=pairs("time-unit", given["time_unit"]),
+        counter=pairs("counter", given["counter"]),
+        names=pairs("names", given["names"]),
+        unit=pairs("unit", given["unit"]),
+        scale=pairs("scale", given["scale"]),
         **flags,
     )
 
@@ -40,14 +40,14 @@ def pairs(option: str, given: Many, *, named: bool = False) -> dict[str, str]:
     """["a=x", "y"] as {"a": "x", "": "y"}: what is said of one stream, and of all others."""
     made: dict[str, str] = {}
     for text in given or ():
-        name, equals, told = text.partition("=")
+        name, equals, content = text.partition("=")
         if not equals:
-            name, told = "", text
-        if not told or (named and not name):
+            name, content = "", text
+        if not content or (named and not name):
             raise RecordingError(f"--{option} {text}: must be NAME=VALUE")
         if name in made:
             raise RecordingError(f"--{option}: given twice{f' for {name}' if name else ''}")
-        made[name] = told
+        made[name] = content
     return made
 
 
@@ -58,11 +58,11 @@ def list_of(text: str) -> list[str]:
 def _meta(given: Many) -> dict[str, dict[str, Any]]:
     made: dict[str, dict[str, Any]] = {}
     for text in given or ():
-        key, equals, told = text.partition("=")
+        key, equals, result = text.partition("=")
         name, colon, fact = key.rpartition(":")
         if not (equals and colon and name and fact):
             raise RecordingError(f"--meta {text}: must be STREAM:KEY=VALUE")
-        made.setdefault(name, {})[fact] = value(told)
+        made.setdefault(name, {})[fact] = value(result)
     return made
 
 

@@ -71,17 +71,17 @@ def trained(recordings: list[Path], options: dict[str, Any]) -> Path:
 
     from kinegraph.stream.recording.format.paths import parts_of
 
-    told = [repr(sorted((k, str(v)) for k, v in options.items()))]
+    lines = [repr(sorted((k, str(v)) for k, v in options.items()))]
     files = [part for path in recordings for part in (parts_of(path) or [path])]
     for path in [*files, *([options["markers"]] if options["markers"] else [])]:
         try:
             found = Path(path).stat()
-            told.append(f"{Path(path).absolute()} {found.st_size} {found.st_mtime_ns}")
+            lines.append(f"{Path(path).absolute()} {found.st_size} {found.st_mtime_ns}")
         except OSError as error:
             raise KinegraphError(f"{path}: cannot be read: {error.strerror}") from None
     folder = Path(os.environ.get("KINEGRAPH_CACHE", platformdirs.user_cache_dir("kinegraph"))) / "maps"
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    kept = folder / f"{hashlib.sha256(chr(10).join(told).encode()).hexdigest()[:24]}.npz"
+    kept = folder / f"{hashlib.sha256(chr(10).join(lines).encode()).hexdigest()[:24]}.npz"
     if kept.exists():
         return kept
     for training in entry_points(group="kinegraph.commands", name="motion.train.map"):

@@ -228,5 +228,5 @@ def _list(root: Path, sleeper: str, free: tuple[int, ...]) -> None:
             console.print(f"\n{who or 'Trends'}:", *weeks_page.words(weeks.trend(rows, free)), sep="\n  ")
     naps = sum(kinds.get(folder.name) == "nap" for folder, _ in found)
     counted = [(len(found) - naps, "night"), (naps, "nap")]
-    told = [f"{n} {what}{'' if n == 1 else 's'}" for n, what in counted if n or (what == "night" and not naps)]
-    console.print(f"{' and '.join(told)} in {root}")
+    lines = [f"{n} {what}{'' if n == 1 else 's'}" for n, what in counted if n or (what == "night" and not naps)]
+    console.print(f"{' and '.join(lines)} in {root}")

@@ -28,7 +28,7 @@ def _mesh(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[li
     from kinegraph.devices.formats.gltf.obj_reader import read_obj
 
     try:
-        rate = float(said) if (said := options.rate.get("")) else None
+        rate = float(rate_text) if (rate_text := options.rate.get("")) else None
         scale = float(options.scale.get("", 1.0))
     except ValueError:
         raise RecordingError(

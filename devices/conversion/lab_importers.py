@@ -108,14 +108,14 @@ def _by_default(file: Path, arrays: dict[str, Any], options: ImportOptions) -> N
         for name, a in long.items()
         if a.ndim == 1 and name.rpartition(".")[2].lower() in ("t", "time", "times", "t_s")
     }
-    said = bool(options.of(options.rate, "") or options.of(options.time, ""))
+    has_rate = bool(options.of(options.rate, "") or options.of(options.time, ""))
     for name in sorted(long.keys() - times):
         rate = _of("matlab").rate_of(arrays, name)
-        told = said or bool(rate)
+        has_time = has_rate or bool(rate)
         stream = f"{file.stem}.{name.rpartition('.')[2]}"
         stream = f"{file.stem}.{name.replace('.', '_')}" if stream in options.streams else stream
         time = next((t for t in times if len(long[t]) == len(long[name])), "")
-        if not (time or told or stream in options.rate or options.preview):
+        if not (time or has_time or stream in options.rate or options.preview):
             raise RecordingError(
                 f"{file}: {name!r} {long[name].shape} has no times, and the file no rate; give --rate {stream}=HZ"
             )

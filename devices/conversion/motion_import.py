@@ -139,11 +139,11 @@ def _of_kind(file: Path, skeletons: dict[str, Skeleton], options: ImportOptions)
         return read_bvh(file, unit, scale, options.start_ns)
     if kind == ".c3d":
         return read_c3d(file, options.start_ns, options.findings)
-    said = _said(options.rate, file, options)
-    rate = positive(said or str(RATE_HZ), f"--rate {file.stem}")
+    rate_text = _said(options.rate, file, options)
+    rate = positive(rate_text or str(RATE_HZ), f"--rate {file.stem}")
     if kind == ".amc":
         return read_amc(file, _skeleton_of(file, skeletons), rate, options.start_ns)
-    return read_kinect(file, unit, scale, options.start_ns, rate if said else None)
+    return read_kinect(file, unit, scale, options.start_ns, rate if rate_text else None)
 
 
 def _skeleton_of(file: Path, skeletons: dict[str, Skeleton]) -> Skeleton:

@@ -99,12 +99,12 @@ class CytonModel:
         due = int((seconds - self._began) * PACKETS_HZ)
         first = max(self._said, due - MOST_BEHIND)
         self._number += first - self._said
-        said = []
+        packets = []
         for _ in range(first, due):
-            said.append(self._packet(self._number))
+            packets.append(self._packet(self._number))
             self._number += 1
         self._said = max(self._said, due)
-        return said
+        return packets
 
     def restart(self) -> None:
         self._zero = self._number

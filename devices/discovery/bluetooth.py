@@ -37,15 +37,15 @@ def find() -> Iterator[FoundDevice]:
         around = advertising(SCAN_S)
     except DeviceError:
         return  # no radio, or it is switched off
-    for device, said in around:
-        name = said.local_name or device.name or ""
-        what, yaml = _known(name, said.service_uuids)
+    for device, advertised in around:
+        name = advertised.local_name or device.name or ""
+        what, yaml = _known(name, advertised.service_uuids)
         if name or yaml:
             where = name or device.address
             node = f'{yaml}\ndevice: "{where}"' if yaml else ""
             if name.startswith("WT"):
                 what, node = "WitMotion sensor", WIT.format(port=f"ble://{name}/NOTIFY/WRITE")
-            yield FoundDevice("ble", device.address, f"{name or 'nameless'}: {what}", node, f"{said.rssi} dBm")
+            yield FoundDevice("ble", device.address, f"{name or 'nameless'}: {what}", node, f"{advertised.rssi} dBm")
 
 
 def _known(name: str, services: Sequence[str]) -> tuple[str, str]:

@@ -77,10 +77,10 @@ def find() -> Iterator[FoundDevice]:
 
 
 def _what(description: str | None, manufacturer: str | None, number: str | None, known: KnownAdapter | None) -> str:
-    said = ", ".join(
+    text = ", ".join(
         part for part in (description, manufacturer, number and f"serial number {number}") if part and part != "n/a"
     )
-    return f"{known.what} ({said})" if known else said
+    return f"{known.what} ({text})" if known else text
 
 
 def _note(device: str) -> str:

@@ -42,11 +42,11 @@ def find() -> Iterator[FoundDevice]:
             continue
         name, number = text_of(device, device.iProduct), text_of(device, device.iSerialNumber)
         where = UsbAddress(device.idVendor, device.idProduct, number or "")
-        said = ", ".join(part for part in (name, number and f"serial number {number}") if part)
+        text = ", ".join(part for part in (name, number and f"serial number {number}") if part)
         allowed = number is not None and _may_write(device)
         note = "" if allowed else rule(UsbAddress(device.idVendor, device.idProduct))
         yield FoundDevice(
-            "usb", str(where), f"{known.what} ({said})" if said else known.what, known.yaml.format(port=where), note
+            "usb", str(where), f"{known.what} ({text})" if text else known.what, known.yaml.format(port=where), note
         )
 
 

@@ -58,8 +58,8 @@ class FtmsBelt:
             result = 5
         else:
             result, status = self._obey(op, data)
-        said = [(ftms.CONTROL, bytes([0x80, op, result]))]
-        return [*said, (ftms.STATUS, status)] if status else said
+        replies = [(ftms.CONTROL, bytes([0x80, op, result]))]
+        return [*replies, (ftms.STATUS, status)] if status else replies
 
     def _obey(self, op: int, data: bytes) -> tuple[int, bytes]:
         if op == ftms.SPEED:

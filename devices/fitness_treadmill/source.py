@@ -144,18 +144,18 @@ class TreadmillReading:
 
     def take(self, note: Notification, feed: Feed) -> None:
         if note.characteristic.startswith("00002ada") and note.data[:1]:
-            if told := self._status.get(note.data[0]):
-                log.warning("treadmill", name=self._name, status=told())
+            if reported := self._status.get(note.data[0]):
+                log.warning("treadmill", name=self._name, status=reported())
                 feed.problem("safety key" if note.data[0] == ftms.SAFETY_KEY else "control lost")
             return
         if not note.characteristic.startswith("00002acd"):
             return
-        said = ftms.parse(note.data)
-        if said is None:
+        parsed = ftms.parse(note.data)
+        if parsed is None:
             feed.problem("cut notification")
             return
-        self._parts |= said.values
-        if said.more:
+        self._parts |= parsed.values
+        if parsed.more:
             return
         parts, self._parts = self._parts, {}
         row = [parts.get(name, np.nan) for name, _ in CHANNELS]

@@ -150,12 +150,12 @@ def _signal(shelf: ColumnTable, options: ImportOptions, name: str, parts: Sequen
     return Series(name, spec, time + options.start_ns, np.ascontiguousarray(data), lost)
 
 
-def _units(name: str, said: str, found: list[str], channels: int) -> tuple[str, ...]:
+def _units(name: str, unit_text: str, found: list[str], channels: int) -> tuple[str, ...]:
     """One unit for all channels or one for each; a micro sign, of either kind, is spelt as graphs and references do: uV."""
-    given, found = [plain_unit(unit.strip()) for unit in said.split(",")], [plain_unit(unit) for unit in found]
+    given, found = [plain_unit(unit.strip()) for unit in unit_text.split(",")], [plain_unit(unit) for unit in found]
     if len(given) > 1 and (len(given) != channels or not all(given)):
         named = f"{channels} named channels" if channels else "channels without names; --names says what they are"
-        raise RecordingError(f"--unit {name}={said}: {len(given)} units for {named}")
+        raise RecordingError(f"--unit {name}={unit_text}: {len(given)} units for {named}")
     if len(given) > 1:
         return tuple(given) if len(set(given)) > 1 else (given[0],)
     if given[0] or len(set(found)) == 1:
@@ -260,8 +260,8 @@ def _timed(
 
 def _times(options: ImportOptions, name: str, named: str, column: FileColumn, rate: float | None) -> Times:
     """A column of times in ns; with the unit "samples" it counts samples at the stream's rate."""
-    told = options.of(options.time_unit, name)
-    unit = told or unit_in(named, column.unit)
+    result = options.of(options.time_unit, name)
+    unit = result or unit_in(named, column.unit)
     if unit == "samples":
         if rate is None:
             raise RecordingError(f"--time-unit {name}=samples: give the rate of these samples, --rate {name}=HZ")
@@ -271,7 +271,7 @@ def _times(options: ImportOptions, name: str, named: str, column: FileColumn, ra
         ):
             raise RecordingError(f"--time-unit {name}=samples: {named!r} does not hold numbers of samples")
         return grid_of(rate, column.data, 0)
-    if not told and unit not in UNITS:
+    if not result and unit not in UNITS:
         raise RecordingError(
             f"{column.file}: {named!r} is in {unit!r}, which is not a unit of time; say what it is with --time-unit {name}=UNIT"
         )

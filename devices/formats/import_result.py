@@ -100,18 +100,20 @@ class Understood:
 
         `rate_hz` among `facts` is what the file says the rate is: it holds if the times agree with it, and is doubted if not.
         """
-        told = facts.pop("rate_hz", None)
+        declared_hz = facts.pop("rate_hz", None)
         if bad := np.flatnonzero(~np.isfinite(seconds) | (np.abs(seconds) > 4e9)).tolist():
             raise RecordingError(f"{self.path}: line {line + bad[0]}: there is no time here")
         time = np.round(seconds * NS).astype(np.int64)
         check_order(time, f"{self.path}: line", line, repeated=asked.repeated)
         middle = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
-        sparse = told is not None and len(seconds) > 1 and middle * told > 1.5
-        found = regular(time, told) if told and not sparse else None
+        sparse = declared_hz is not None and len(seconds) > 1 and middle * declared_hz > 1.5
+        found = regular(time, declared_hz) if declared_hz and not sparse else None
         if found is None:
             found = regular(time, None)
-            if told and len(time) > 1:
-                self.doubt(f"the file says {told:g} Hz, but its times are {middle:g} s apart: the times are believed")
+            if declared_hz and len(time) > 1:
+                self.doubt(
+                    f"the file says {declared_hz:g} Hz, but its times are {middle:g} s apart: the times are believed"
+                )
         if found is not None and np.abs(found[1] - time).max() > 0.02 * NS / found[0] + resolution(time):
             found = None
         if found is None:

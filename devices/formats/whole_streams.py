@@ -208,6 +208,6 @@ def events_of(streams: list[Gathered]) -> list[tuple[int, int | None, str, str]]
         label = str(one.spec.meta.get("label") or one.name.rpartition(".")[2])
         for i, onset in enumerate(onsets.tolist()):
             length = int(ends[i]) - onset if ends is not None and ends[i] > onset else None
-            told = str(one.data[text][i]) if text else ""
-            made.append((onset, length, told or label, str(one.spec.meta.get("side") or "")))
+            result = str(one.data[text][i]) if text else ""
+            made.append((onset, length, result or label, str(one.spec.meta.get("side") or "")))
     return sorted(made, key=lambda event: event[0])

@@ -26,8 +26,8 @@ def fitting(candidates: Sequence[bytes], layout: FrameLayout) -> str:
     orders: tuple[Literal["little", "big"], ...] = ("little", "big") if size > 1 else (layout.frame.endian,)
     kinds = [kind for kind, checksum in CHECKSUMS.items() if checksum.size == size]
     for start, kind, endian in product(range(layout.body_end), kinds, orders):
-        said = [int.from_bytes(f[layout.body_end : layout.body_end + size], endian) for f in frames]
-        fits = sum(CHECKSUMS[kind].of(f[start : layout.body_end]) == s for f, s in zip(frames, said, strict=True))
+        rows = [int.from_bytes(f[layout.body_end : layout.body_end + size], endian) for f in frames]
+        fits = sum(CHECKSUMS[kind].of(f[start : layout.body_end]) == s for f, s in zip(frames, rows, strict=True))
         if fits >= max(LEAST, SHARE * len(frames)):
             order = f" in {endian}-endian order" if size > 1 else ""
             return f"checksum: {kind} with checksum_from: {start}{order} fits {fits} of {len(frames)} frames that came"

@@ -86,5 +86,5 @@ def _fits(spoilt: Iterable[tuple[int, bytes]], layouts: Sequence[FrameLayout]) -
     by_kind: dict[int, list[bytes]] = {}
     for kind, frame in spoilt:
         by_kind.setdefault(kind, []).append(frame)
-    told = [f"frames[{kind}]: {text}" for kind, frames in by_kind.items() if (text := fitting(frames, layouts[kind]))]
-    return f"; {', '.join(told)}" if told else ""
+    lines = [f"frames[{kind}]: {text}" for kind, frames in by_kind.items() if (text := fitting(frames, layouts[kind]))]
+    return f"; {', '.join(lines)}" if lines else ""

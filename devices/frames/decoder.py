@@ -127,8 +127,11 @@ class FrameDecoder:
             after = buffer[match.end() : match.end() + self._longest]
             if not self._sync.match(after):
                 return None if len(after) < self._longest else False
-            if counter is not None and (said := self._contradicted(buffer, match.end(), kind, counter)) is not False:
-                return None if said is None else False
+            if (
+                counter is not None
+                and (contradiction := self._contradicted(buffer, match.end(), kind, counter)) is not False
+            ):
+                return None if contradiction is None else False
         if counter is not None:
             self._lasts[kind] = counter, match.group()
         return True

@@ -124,8 +124,10 @@ def _explain(made: FrameGuess, frames: Sequence[bytes]) -> FrameGuess:
     made.checksum, made.checksum_from, order = _checksum(frames, len(made.sync))
     checksum, body = CHECKSUMS[made.checksum], made.size - CHECKSUMS[made.checksum].size
     if checksum.size:
-        said = order or "little"
-        frames = [f for f in frames if checksum.of(f[made.checksum_from : body]) == int.from_bytes(f[body:], said)]
+        byte_order = order or "little"
+        frames = [
+            f for f in frames if checksum.of(f[made.checksum_from : body]) == int.from_bytes(f[body:], byte_order)
+        ]
     rows = np.frombuffer(b"".join(frames), np.uint8).reshape(len(frames), -1)
     start, end = len(made.sync), made.size - CHECKSUMS[made.checksum].size
     roles: dict[int, dict[str, Any]] = {}

@@ -104,8 +104,8 @@ class FrameLayout:
         """Whether the checksum is right."""
         if not self.checksum.size:
             return True
-        said = int.from_bytes(frame[self.body_end : self.body_end + self.checksum.size], self.frame.endian)
-        return said == self.checksum.of(frame[self.frame.checksum_from : self.body_end])
+        checksum = int.from_bytes(frame[self.body_end : self.body_end + self.checksum.size], self.frame.endian)
+        return checksum == self.checksum.of(frame[self.frame.checksum_from : self.body_end])
 
     def table(self, frames: bytes) -> Array:
         """Frames, one after the other, as a structured array (n,)."""

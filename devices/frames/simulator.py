@@ -80,9 +80,9 @@ class BinaryModel:
     def say(self, seconds: float) -> list[bytes]:
         due = int(seconds * self._rate)
         first = max(self._said, due - MOST_BEHIND)
-        said = [self.frame(kind, i) for i in range(first, due) for kind in range(len(self._layouts))]
+        packets = [self.frame(kind, i) for i in range(first, due) for kind in range(len(self._layouts))]
         self._said = max(self._said, due)
-        return said
+        return packets
 
     def restart(self) -> None:
         self._zero = self._said

@@ -39,11 +39,13 @@ def parse(data: bytes) -> HeartRateMeasurement | None:
     return HeartRateMeasurement(bpm, bool(flags & 2) if flags & 4 else None, energy, rr)
 
 
-def build(said: HeartRateMeasurement) -> bytes:
+def build(measured: HeartRateMeasurement) -> bytes:
     """The notification; for simulators and tests."""
-    wide = said.bpm > 255
-    flags = wide | (said.contact is not None) << 2 | bool(said.contact) << 1 | (said.energy_kj is not None) << 3
-    flags |= bool(said.rr_s) << 4
-    body = struct.pack("<BH" if wide else "<BB", flags, said.bpm)
-    body += b"" if said.energy_kj is None else struct.pack("<H", said.energy_kj)
-    return body + b"".join(struct.pack("<H", round(rr * 1024)) for rr in said.rr_s)
+    wide = measured.bpm > 255
+    flags = (
+        wide | (measured.contact is not None) << 2 | bool(measured.contact) << 1 | (measured.energy_kj is not None) << 3
+    )
+    flags |= bool(measured.rr_s) << 4
+    body = struct.pack("<BH" if wide else "<BB", flags, measured.bpm)
+    body += b"" if measured.energy_kj is None else struct.pack("<H", measured.energy_kj)
+    return body + b"".join(struct.pack("<H", round(rr * 1024)) for rr in measured.rr_s)

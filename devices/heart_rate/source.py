@@ -57,16 +57,16 @@ class HeartRateReading:
         self._last = 0
 
     def take(self, note: Notification, feed: Feed) -> None:
-        said = protocol.parse(note.data)
-        if said is None:
+        measured = protocol.parse(note.data)
+        if measured is None:
             feed.problem("cut notification")
             return
-        contact = np.nan if said.contact is None else float(said.contact)
+        contact = np.nan if measured.contact is None else float(measured.contact)
         now = np.array([note.arrival])
-        feed.emit(Chunk(now, np.array([[float(said.bpm), contact]]), note.arrival), "rate")
-        if said.rr_s:
-            back = np.cumsum(np.array((0.0, *said.rr_s[:0:-1])))[::-1]
+        feed.emit(Chunk(now, np.array([[float(measured.bpm), contact]]), note.arrival), "rate")
+        if measured.rr_s:
+            back = np.cumsum(np.array((0.0, *measured.rr_s[:0:-1])))[::-1]
             beats = np.maximum(note.arrival - np.round(back * NS).astype(np.int64), self._last + 1)
             beats = np.maximum.accumulate(beats)
             self._last = int(beats[-1])
-            feed.emit(Chunk(beats, np.array(said.rr_s)[:, None], self._last), "beats")
+            feed.emit(Chunk(beats, np.array(measured.rr_s)[:, None], self._last), "beats")

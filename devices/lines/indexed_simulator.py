@@ -39,9 +39,9 @@ class IndexedModel:
 
     def say(self, seconds: float) -> list[bytes]:
         due = int(seconds * self._of.rate_hz)
-        said = [self._line(i) for i in range(max(self._said, due - MOST_BEHIND), due)]
+        sent = [self._line(i) for i in range(max(self._said, due - MOST_BEHIND), due)]
         self._said = max(self._said, due)
-        return said
+        return sent
 
     def restart(self) -> None:
         self._zero = self._said
@@ -49,5 +49,5 @@ class IndexedModel:
     def _line(self, index: int) -> bytes:
         of, since = self._of, index - self._zero
         told_s = since / of.rate_hz * (1 + of.drift_ppm * 1e-6) + self.ahead_s
-        told = f"{told_s:.6f}" if of.time_unit == "s" else str(round(told_s * PER_S[of.time_unit]))
-        return f"{index},{told},{since % (1 << of.counter_bits)}{of.trailing}\r\n".encode()
+        text = f"{told_s:.6f}" if of.time_unit == "s" else str(round(told_s * PER_S[of.time_unit]))
+        return f"{index},{text},{since % (1 << of.counter_bits)}{of.trailing}\r\n".encode()

@@ -64,13 +64,13 @@ class LinesModel:
 
     def say(self, seconds: float) -> list[bytes]:
         due = int(seconds * self._of.rate_hz)
-        said = []
+        sent = []
         for i in range(max(self._said, due - MOST_BEHIND), due):
             if self._of.header and (i - self._zero) % max(1, round(self._of.rate_hz)) == 0:
-                said.append((self._of.delimiter.join(self._of.columns) + "\r\n").encode())
-            said.append(self._line(i))
+                sent.append((self._of.delimiter.join(self._of.columns) + "\r\n").encode())
+            sent.append(self._line(i))
         self._said = max(self._said, due)
-        return said
+        return sent
 
     def restart(self) -> None:
         self._zero = self._said

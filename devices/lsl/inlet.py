@@ -134,14 +134,16 @@ class LslInlet(_Probing):
 
     def _check(self, connection: Connection) -> None:
         """Refuse a stream that is not what the graph was checked with."""
-        told = differences(connection.described, self._spec)
-        if told:
+        result = differences(connection.described, self._spec)
+        if result:
             hint = (
                 "has it changed since the graph was loaded?"
                 if self.probe
                 else "declare what it is, or say `probe: true`"
             )
-            raise DeviceError(f"the LSL stream with {self._wanted} is not what was declared: {'; '.join(told)}; {hint}")
+            raise DeviceError(
+                f"the LSL stream with {self._wanted} is not what was declared: {'; '.join(result)}; {hint}"
+            )
 
 
 def _sleep(seconds: float) -> bool:

@@ -103,23 +103,23 @@ def differences(found: Described, declared: StreamSpec) -> list[str]:
     texts, numbers = declared.is_event, found.format != TEXT
     if texts == numbers:
         return [f"it holds {'numbers' if numbers else 'texts'}, declared are {'texts' if texts else 'numbers'}"]
-    told = []
+    lines = []
     names = declared.channels[1:] if texts else declared.channels
     count = len(names) if texts else declared.shape[0]
     if found.count != count:
-        told.append(f"it has {found.count} channel{'s' * (found.count != 1)}, declared are {count}")
+        lines.append(f"it has {found.count} channel{'s' * (found.count != 1)}, declared are {count}")
     elif not texts and found.labels and names and found.labels != names:
-        told.append(f"its channels are {', '.join(found.labels)}; declared are {', '.join(names)}")
+        lines.append(f"its channels are {', '.join(found.labels)}; declared are {', '.join(names)}")
     rate = declared.rate_hz or 0.0
     if not texts and abs(found.rate_hz - rate) > 1e-6 * rate:
-        told.append(f"its rate is {_rate(found.rate_hz)}, declared is {_rate(rate)}")
+        lines.append(f"its rate is {_rate(found.rate_hz)}, declared is {_rate(rate)}")
     if not texts and found.units and any(declared.units) and found.count == count:
         its, ours = (_spread(units, count) for units in (found.units, declared.units))
         if its != ours:
-            told.append(
+            lines.append(
                 f"its unit is {', '.join(map(repr, found.units))}; declared is {', '.join(map(repr, declared.units))}"
             )
-    return told
+    return lines
 
 
 def _rate(rate_hz: float) -> str:

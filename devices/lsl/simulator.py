@@ -162,13 +162,13 @@ class Sender:
     def _work(self) -> None:
         began, rate = self._lsl.local_clock(), self._walk.rate_hz
         chunk = max(TICK_S, self._of.chunk_ms / 1000)
-        said, number, kept = int(began * rate), 0, list[bytes]()
+        result, number, kept = int(began * rate), 0, list[bytes]()
         while not self._stop.is_set():
             number += 1
             self._stop.wait(max(0.0, began + number * chunk - self._lsl.local_clock()))
             now = self._lsl.local_clock()
-            first, said = due(said, now, rate)
-            packets = self.injector.spoil(self._walk.say(first, said), now - began)
+            first, result = due(result, now, rate)
+            packets = self.injector.spoil(self._walk.say(first, result), now - began)
             with self._lock:
                 kept = self._pass(kept + packets, now - began)
 

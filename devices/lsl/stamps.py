@@ -94,7 +94,7 @@ class LslStamps:
             and arrival - OLDEST_S < raws[0] < arrival + NEWEST_S
             and raws[-1] < arrival + NEWEST_S
             and round(raws[0] * NS) + self._shift > self._last
-            and leaps.none(raws)
+            and leaps.absent(raws)
         )
 
     def _one_by_one(self, raws: list[float], arrival: float, pause: int) -> Mapped:
@@ -174,7 +174,7 @@ class Leaps:
         self._last: float | None = None
         self._even_since = 0.0
 
-    def none(self, stamps: list[float]) -> bool:
+    def absent(self, stamps: list[float]) -> bool:
         """Whether all of these follow each other evenly; if so, they have been seen."""
         least, most, last = self._least, self._most, self._last
         if last is None:

@@ -138,7 +138,7 @@ class Topics:
 
 def announcement(name: str, entity: Entity, device: Device, topics: Topics) -> dict[str, Any]:
     """The discovery message of a sensor or binary sensor."""
-    told = {
+    facts = {
         **shared(name, entity.name, device, topics.availability()),
         "state_topic": topics.state(name),
         "expire_after": entity.expire_after_s,
@@ -149,15 +149,15 @@ def announcement(name: str, entity: Entity, device: Device, topics: Topics) -> d
         "icon": entity.icon,
     }
     if entity.component == "binary_sensor":
-        told |= {"payload_on": ON, "payload_off": OFF}
+        facts |= {"payload_on": ON, "payload_off": OFF}
     elif entity.state_class:
-        told["suggested_display_precision"] = entity.decimals
-    return {key: value for key, value in told.items() if value not in ("", 0) or key == "suggested_display_precision"}
+        facts["suggested_display_precision"] = entity.decimals
+    return {key: value for key, value in facts.items() if value not in ("", 0) or key == "suggested_display_precision"}
 
 
 def switch(name: str, title: str, icon: str, device: Device, topics: Topics) -> dict[str, Any]:
     """The discovery message of a switch."""
-    told = {
+    facts = {
         **shared(name, title, device, topics.availability(name)),
         "state_topic": topics.state(name),
         "command_topic": topics.command(name),
@@ -165,7 +165,7 @@ def switch(name: str, title: str, icon: str, device: Device, topics: Topics) -> 
         "payload_off": OFF,
         "icon": icon,
     }
-    return {key: value for key, value in told.items() if value != ""}
+    return {key: value for key, value in facts.items() if value != ""}
 
 
 def shared(name: str, title: str, device: Device, availability: str) -> dict[str, Any]:

@@ -21,7 +21,7 @@ class EntityStates:
 
     def __init__(self, entities: Mapping[str, Entity], specs: Specs) -> None:
         self._entities, self._specs = entities, specs
-        self.told: dict[str, tuple[str, float, int]] = {}
+        self.sent: dict[str, tuple[str, float, int]] = {}
         """Per entity: the state told last, when (monotonic s), and the sample's time."""
         self._newest: dict[str, int] = {}
         """Per stream, the newest sample's stamp."""
@@ -33,24 +33,24 @@ class EntityStates:
         for name, entity in self._entities.items():
             if entity.of != port:
                 continue
-            before, when, stamp = self.told.get(name, ("", 0.0, NEVER))
+            before, when, stamp = self.sent.get(name, ("", 0.0, NEVER))
             text, at = self._state(entity, chunk, before, stamp)
             now = time.monotonic()
             stale = entity.expire_after_s > 0 and now - when >= REFRESH * entity.expire_after_s
             if text and (text != before or stale):
-                self.told[name] = (text, now, at)
+                self.sent[name] = (text, now, at)
                 yield name, text
 
-    def _state(self, entity: Entity, chunk: Chunk, before: str, told: int) -> tuple[str, int]:
-        """What is to be reported after a chunk, and of which sample; "": nothing is known yet."""
+    def _state(self, entity: Entity, chunk: Chunk, before: str, last_ns: int) -> tuple[str, int]:
+        """What is to be last_ns after a chunk, and of which sample; "": nothing is known yet."""
         if entity.alive_s:
             newest = self._newest.get(entity.of, NEVER)
             alive = newest != NEVER and chunk.until < FOREVER and chunk.until - newest <= entity.alive_s * NS
             return (ON if alive else OFF), newest
         spec = self._specs[entity.of]
         rows = chunk.data[chosen(chunk.data, entity.where)] if spec.is_event else chunk.data
-        if not len(rows) or (not spec.is_event and told != NEVER and chunk.time[-1] - told < entity.every_s * NS):
-            return before, told
+        if not len(rows) or (not spec.is_event and last_ns != NEVER and chunk.time[-1] - last_ns < entity.every_s * NS):
+            return before, last_ns
         row = rows[-1]
         value = row[entity.field or spec.channels[0]] if spec.is_event else row.reshape(-1)[_place(spec, entity.field)]
         return _text(value, entity), int(chunk.time[-1])

@@ -138,8 +138,8 @@ class BrokerConnection:
         client = self._client
         if client is None or not self._there:
             return None
-        said = client.publish(topic, text, qos=qos, retain=retain)
-        return said.mid if said.rc == 0 else None
+        result = client.publish(topic, text, qos=qos, retain=retain)
+        return result.mid if result.rc == 0 else None
 
     def hasten(self) -> None:
         """Make the next attempt at once."""

@@ -149,10 +149,10 @@ class MessageQueue:
     def remembered(self, topic: str, text: str) -> None:
         """What the broker kept as a topic's last message; another session's says nothing about this one."""
         try:
-            told = json.loads(text)
-            if told["session"] != self._session:
+            record = json.loads(text)
+            if record["session"] != self._session:
                 return
-            key = int(told["key"])
+            key = int(record["key"])
         except (ValueError, KeyError, TypeError):
             return
         with self._lock:
@@ -186,9 +186,9 @@ class MessageQueue:
 
     def _read_ledger(self) -> None:
         try:
-            told = json.loads(self._ledger.read_text(encoding="utf-8")) if self._ledger else {}
-            if told.get("session") == self._session:
-                for topic, key in told["arrived"].items():
+            record = json.loads(self._ledger.read_text(encoding="utf-8")) if self._ledger else {}
+            if record.get("session") == self._session:
+                for topic, key in record["arrived"].items():
                     self._arrived[topic] = max(int(key), self._arrived.get(topic, -1))
         except FileNotFoundError:
             return
@@ -201,8 +201,8 @@ class MessageQueue:
         if self._ledger is None or not self._unwritten or (self._messages and now < self._written_at + TOGETHER_S):
             return
         self._unwritten, self._written_at = False, now
-        told = {"session": self._session, "arrived": dict(self._arrived)}
+        facts = {"session": self._session, "arrived": dict(self._arrived)}
         try:
-            write_complete(self._ledger, json.dumps(told))
+            write_complete(self._ledger, json.dumps(facts))
         except OSError as error:
             log.warning("what was sent cannot be written down", path=str(self._ledger), error=error.strerror)

@@ -220,8 +220,8 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
     def _announce(self) -> None:
         if self.discovery:
             for name, entity in self.entities.items():
-                told = announcement(name, entity, self.device, self._topics)
-                self._say(self._topics.config(entity.component, name), json.dumps(told), True)
+                result = announcement(name, entity, self.device, self._topics)
+                self._say(self._topics.config(entity.component, name), json.dumps(result), True)
             if self.report:
-                told = report_announcement(self.device, self._topics)
-                self._say(self._topics.config("sensor", NAME), json.dumps(told), True)
+                result = report_announcement(self.device, self._topics)
+                self._say(self._topics.config("sensor", NAME), json.dumps(result), True)

@@ -43,9 +43,9 @@ class SentEvents:
     def chosen(self, chunk: Chunk, spec: StreamSpec, session: str) -> Iterator[tuple[int, str]]:
         """Key and text of each event of a chunk that is to be sent."""
         for row in chunk.data[chosen(chunk.data, self.where)]:
-            told: dict[str, Any] = {"session": session, "key": int(row[self.key])}
-            told |= {field: as_json(row[field], spec.unit_of(field)) for field in spec.channels}
-            yield told["key"], json.dumps(told)
+            facts: dict[str, Any] = {"session": session, "key": int(row[self.key])}
+            facts |= {field: as_json(row[field], spec.unit_of(field)) for field in spec.channels}
+            yield facts["key"], json.dumps(facts)
 
     def logged_after(self, newest: int, session: str) -> Iterator[tuple[int, str]]:
         """Key and text of each event that a night's log has, and that was not sent, as the session was killed in between.
@@ -60,16 +60,16 @@ class SentEvents:
         for folder, _ in nights[-1:]:
             epochs = archive.read_epochs(folder)
             for k in np.flatnonzero(epochs.onset > newest).tolist():
-                told = {"session": session, "key": int(epochs.onset[k])}
-                told |= {name: utc(int(column[k])) for name, column in (("onset", epochs.onset), ("end", epochs.end))}
-                told |= {
+                facts = {"session": session, "key": int(epochs.onset[k])}
+                facts |= {name: utc(int(column[k])) for name, column in (("onset", epochs.onset), ("end", epochs.end))}
+                facts |= {
                     "state": str(epochs.texts["state"][k]),
                     "final": True,
                     "rescored": bool(epochs.numbers["rescored"][k]),
                 }
-                told |= {name: as_json(epochs.numbers[name][k], "") for name in ("score", "activity")}
+                facts |= {name: as_json(epochs.numbers[name][k], "") for name in ("score", "activity")}
                 if cause := str(epochs.texts["cause"][k]):
                     mover = archive.nanoseconds(str(epochs.texts["mover"][k]) or archive.iso(0))
-                    told |= {"cause": cause, "mover": as_json(mover, "ns"), "rule": str(epochs.texts["rule"][k])}
-                    told |= {name: as_json(epochs.numbers[name][k], "") for name in ("weight", "adds")}
-                yield int(epochs.onset[k]), json.dumps(told)
+                    facts |= {"cause": cause, "mover": as_json(mover, "ns"), "rule": str(epochs.texts["rule"][k])}
+                    facts |= {name: as_json(epochs.numbers[name][k], "") for name in ("weight", "adds")}
+                yield int(epochs.onset[k]), json.dumps(facts)

@@ -122,5 +122,5 @@ class _Hand:
     def _announce(self) -> None:
         of = self._of
         if of.discovery:
-            told = switch(of.name, of.title or of.name, of.icon, of.device, self._topics)
-            self.link.say(self._topics.config("switch", of.name), json.dumps(told), retain=True)
+            result = switch(of.name, of.title or of.name, of.icon, of.device, self._topics)
+            self.link.say(self._topics.config("switch", of.name), json.dumps(result), retain=True)

@@ -266,5 +266,7 @@ class MtiReading:
                 data = data[packets.kept]
             for chunk in chunks(packets.stamp, packets.lost, data):
                 feed.emit(chunk, "imu")
-        told = slice(-1, None) if self._burst else slice(None)
-        feed.emit(timing_chunk(packets.number[told], packets.device[told], arrival, packets.stamp[told]), "timing")
+        result = slice(-1, None) if self._burst else slice(None)
+        feed.emit(
+            timing_chunk(packets.number[result], packets.device[result], arrival, packets.stamp[result]), "timing"
+        )

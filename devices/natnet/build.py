@@ -60,8 +60,8 @@ def build_models(models: NatNetModels, version: Version) -> bytes:
             about = _text("Device") + _text("SN2") + struct.pack("<ii", 0, 0)
             parts.append((4, struct.pack("<i", number) + about + _texts(names)))
     sized = version >= SIZED
-    said = [struct.pack("<i", kind) + (struct.pack("<i", len(b)) if sized else b"") + b for kind, b in parts]
-    return struct.pack("<i", len(said)) + b"".join(said)
+    lines = [struct.pack("<i", kind) + (struct.pack("<i", len(b)) if sized else b"") + b for kind, b in parts]
+    return struct.pack("<i", len(lines)) + b"".join(lines)
 
 
 def _body(one: NatNetBody) -> bytes:

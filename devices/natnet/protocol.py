@@ -173,8 +173,8 @@ def opened(data: bytes) -> tuple[int, bytes]:
 
 def connect() -> bytes:
     """The first message to a server: who we are, and the newest version that we read."""
-    said = b"kinegraph".ljust(256, b"\0") + bytes([1, 0, 0, 0]) + bytes([*NEWEST, 0, 0])
-    return message(CONNECT, said + bytes([0]) + bytes([*NEWEST, 0, 0]))
+    result = b"kinegraph".ljust(256, b"\0") + bytes([1, 0, 0, 0]) + bytes([*NEWEST, 0, 0])
+    return message(CONNECT, result + bytes([0]) + bytes([*NEWEST, 0, 0]))
 
 
 def server_info(payload: bytes) -> ServerInfo:

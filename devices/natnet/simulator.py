@@ -109,13 +109,13 @@ class NatNetServer(ClosesAtExit):
         return ServerInfo("Motive", (3, 1, 0, 0), self._version, TICK_HZ, self.data_port, self._multicast)
 
     def _work(self) -> None:
-        began, said = time.monotonic(), 0
+        began, result = time.monotonic(), 0
         while not self._stop.is_set():
             self._hear()
             due = int((time.monotonic() - began) * self.scene.rate_hz)
-            for number in range(said, due):
+            for number in range(result, due):
                 self._send(number)
-            said = max(due, said)
+            result = max(due, result)
 
     def _hear(self) -> None:
         try:

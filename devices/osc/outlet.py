@@ -57,8 +57,8 @@ class OscOutlet(Outlet[OscState, OscRuntime]):
         if runtime.sender is None:
             return
         for row in np.asarray(chunk.data, np.float64).tolist():
-            told = zip(runtime.addresses, row, strict=True)
-            runtime.sender.send(bundles(floats(name, [value]) for name, value in told if np.isfinite(value)))
+            result = zip(runtime.addresses, row, strict=True)
+            runtime.sender.send(bundles(floats(name, [value]) for name, value in result if np.isfinite(value)))
 
     def close(self) -> None:
         if self.runtime.sender is not None:

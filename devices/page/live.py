@@ -173,9 +173,9 @@ class LivePage:
 
     def update(self, table: Table) -> None:
         """Take the newest metrics."""
-        told = {name: {key: value for key, value in row.items() if key in SHOWN} for name, row in table.items()}
+        facts = {name: {key: value for key, value in row.items() if key in SHOWN} for name, row in table.items()}
         self._handover.state = encode(
-            {"t": "state", "table": told, "dropped": self._handover.channel.dropped, "edges": self._rates()}
+            {"t": "state", "table": facts, "dropped": self._handover.channel.dropped, "edges": self._rates()}
         )
 
     def _rates(self) -> dict[str, float]:
@@ -219,14 +219,14 @@ class LivePage:
 
     def greeting(self) -> list[bytes]:
         """The first messages to a server that has started: the session, and the marks of a recording."""
-        told = hello(self._graph, outside=not is_loopback(self._address.host), mode=self._mode, t0_ns=self._t0)
+        header = hello(self._graph, outside=not is_loopback(self._address.host), mode=self._mode, t0_ns=self._t0)
         if self._avatar_asked:
-            told["panels"] = with_avatar(told["panels"], self._specs)
+            header["panels"] = with_avatar(header["panels"], self._specs)
         if self._marks:
-            told["streams"].append(described(MARKS, SPEC))
-            told["panels"] = shown_with(told["panels"])
+            header["streams"].append(described(MARKS, SPEC))
+            header["panels"] = shown_with(header["panels"])
         specs = [spec.to_json() for spec in self._specs.values()]
-        return [encode({**told, "t0_ns": self._t0, "specs": specs, "modules": self._modules}), *self._marked()]
+        return [encode({**header, "t0_ns": self._t0, "specs": specs, "modules": self._modules}), *self._marked()]
 
     def answer(self, asked: dict[str, Any]) -> None:
         """What was asked for on the page, or by its server."""

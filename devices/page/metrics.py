@@ -60,9 +60,9 @@ def openmetrics(session: str, table: Mapping[str, Mapping[str, Any]], clients: i
     return "\n".join([*lines, "# EOF", ""])
 
 
-def _add(lines: list[str], name: str, kind: str, told: str, values: Mapping[str, float]) -> None:
+def _add(lines: list[str], name: str, kind: str, text: str, values: Mapping[str, float]) -> None:
     ending = "_total" if kind == "counter" else ""
-    lines += [f"# TYPE kinegraph_{name} {kind}", f"# HELP kinegraph_{name} {told}"]
+    lines += [f"# TYPE kinegraph_{name} {kind}", f"# HELP kinegraph_{name} {text}"]
     lines += [f"kinegraph_{name}{ending}{labels} {value:.12g}" for labels, value in values.items()]
 
 

@@ -73,7 +73,7 @@ class ServerProcess:
             _yielding(server.pid)
             pipe = ServerPipe(server.stdin.fileno())
             try:
-                pipe.write([[told] for told in self._page.greeting()])
+                pipe.write([[part] for part in self._page.greeting()])
                 handover.channel.lead_to(pipe)
                 handover.give(pipe)
                 threading.Thread(target=self._hear, args=(server,), name="page answers", daemon=True).start()

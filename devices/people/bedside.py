@@ -210,9 +210,9 @@ def read_stages(path: Path) -> tuple[str, ...]:
         try:
             onset, stage = float(row["onset"]), STAGES[row["stage"].strip().lower()]
         except (KeyError, ValueError, AttributeError):
-            told = ",".join(str(value) for value in row.values())
+            text = ",".join(str(value) for value in row.values())
             raise DeviceError(
-                f"{path}, line {line}: {told!r} is not an onset (s) and a stage (W N1 N2 N3 R, 0 to 5, or ?) below a header that names both"
+                f"{path}, line {line}: {text!r} is not an onset (s) and a stage (W N1 N2 N3 R, 0 to 5, or ?) below a header that names both"
             ) from None
         if not isfinite(onset) or (found and onset <= found[-1][0]):
             raise DeviceError(f"{path}, line {line}: onset is {onset:g} s, which is not after the line before")

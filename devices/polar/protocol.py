@@ -43,8 +43,8 @@ class PmdFrame(NamedTuple):
 def start(kind: int, **settings: int) -> bytes:
     """The command that starts a measurement: rate, resolution, range, channels."""
     ids = {"rate": 0, "resolution": 1, "range": 2, "channels": 4}
-    said = b"".join(bytes([ids[k], 1]) + v.to_bytes(_SIZES[ids[k]], "little") for k, v in settings.items())
-    return bytes([START, kind]) + said
+    body = b"".join(bytes([ids[k], 1]) + v.to_bytes(_SIZES[ids[k]], "little") for k, v in settings.items())
+    return bytes([START, kind]) + body
 
 
 def settings(data: bytes) -> dict[int, tuple[float, ...]]:
@@ -72,9 +72,9 @@ class PmdDecoder:
     def started(self, answer: bytes) -> None:
         """The answer to a start: it may say the factor. Raises ValueError."""
         if len(answer) > 5:
-            said = settings(answer[5:])
-            if said.get(5):
-                self.factor[answer[2]] = said[5][0]
+            chosen = settings(answer[5:])
+            if chosen.get(5):
+                self.factor[answer[2]] = chosen[5][0]
 
     def frame(self, data: bytes) -> PmdFrame | None:
         """One notification; None for what is cut off or of no kind that is known."""

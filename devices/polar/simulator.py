@@ -85,18 +85,18 @@ class PolarBelt:
 
     def say(self, seconds: float) -> list[tuple[str, bytes]]:
         self._seconds = seconds
-        said: list[tuple[str, bytes]] = []
+        sent: list[tuple[str, bytes]] = []
         for kind, rate in self.running.items():
             size = ECG_FRAME if kind == ECG else ACC_FRAME
             due = int((seconds - self._began[kind]) * rate) // size
-            said += [(polar_pmd.DATA, self._frame(kind, rate, i, size)) for i in range(self._said[kind], due)]
+            sent += [(polar_pmd.DATA, self._frame(kind, rate, i, size)) for i in range(self._said[kind], due)]
             self._said[kind] = max(due, self._said[kind])
         beats = int(seconds / BEAT_S)
         if beats > self._beats:
             measured = HeartRateMeasurement(round(60 / BEAT_S), None, None, (BEAT_S,) * min(beats - self._beats, 4))
-            said.append((heart_rate.MEASUREMENT, heart_rate.build(measured)))
+            sent.append((heart_rate.MEASUREMENT, heart_rate.build(measured)))
             self._beats = beats
-        return said
+        return sent
 
     def _frame(self, kind: int, rate: float, number: int, size: int) -> bytes:
         index = np.arange(number * size, (number + 1) * size)

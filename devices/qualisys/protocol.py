@@ -199,14 +199,14 @@ def names(xml: str) -> QualisysNames:
     )
 
 
-def _analog_device(said: ElementTree.Element) -> AnalogDevice:
+def _analog_device(element: ElementTree.Element) -> AnalogDevice:
     """Labels and units stand in a `Channel` each, in protocols before 1.12 in the device itself."""
-    channels = [(one.text or "").strip() for one in said.iter("Label")]
-    units = [(one.text or "").strip() for one in said.iter("Unit")]
+    channels = [(one.text or "").strip() for one in element.iter("Label")]
+    units = [(one.text or "").strip() for one in element.iter("Unit")]
     units = units if len(units) == len(channels) else (units[:1] or [""]) * len(channels)
-    name = (said.findtext("Device_Name") or "").strip()
+    name = (element.findtext("Device_Name") or "").strip()
     return AnalogDevice(
-        int(_number(said.findtext("Device_ID"))), name, _number(said.findtext("Frequency")), channels, units
+        int(_number(element.findtext("Device_ID"))), name, _number(element.findtext("Frequency")), channels, units
     )
 
 

@@ -67,7 +67,7 @@ class QualisysServer(ClosesAtExit):
             skeleton, _, segment = name.partition(":")
             skeletons[skeleton] = skeletons.get(skeleton, "") + f'<Segment Name="{segment}" ID="{k + 1}"/>'
         solved = "".join(
-            f'<Skeleton Name="{name}"><Segments>{said}</Segments></Skeleton>' for name, said in skeletons.items()
+            f'<Skeleton Name="{name}"><Segments>{text}</Segments></Skeleton>' for name, text in skeletons.items()
         )
         channels = "".join(
             f"<Channel><Label>{name}</Label><Unit>{self._unit}</Unit></Channel>" for name in self._analog
@@ -88,7 +88,7 @@ class QualisysServer(ClosesAtExit):
     def _serve(self, client: socket.socket) -> None:
         client.settimeout(0.004)
         client.sendall(protocol.command("QTM RT Interface connected"))
-        decoder, began, said = QualisysDecoder(), 0.0, 0
+        decoder, began, result = QualisysDecoder(), 0.0, 0
         while not self._stop.is_set():
             try:
                 data = client.recv(4096)
@@ -100,14 +100,14 @@ class QualisysServer(ClosesAtExit):
                 text = protocol.text_of(payload)
                 self.heard.append(text)
                 if text.lower().startswith("streamframes"):
-                    began, said = (0.0 if "stop" in text else time.monotonic()), 0
+                    began, result = (0.0 if "stop" in text else time.monotonic()), 0
                 else:
                     client.sendall(self._answer(text.lower()))
             due = int((time.monotonic() - began) * self._rate) if began else 0
-            for number in range(said, due):
+            for number in range(result, due):
                 if not self._lose or number % self._lose:
                     client.sendall(protocol.packet(protocol.DATA, protocol.build_data(self.frame(number))))
-            said = max(said, due)
+            result = max(result, due)
 
     def _answer(self, text: str) -> bytes:
         if text.startswith("version"):

@@ -167,11 +167,11 @@ class QualisysSession:
         deadline = time.monotonic() + ANSWER_S
         while time.monotonic() < deadline and not self._feed.stopped:
             for came, payload in self.packets():
-                said = protocol.text_of(payload)
-                if came == kind and said.startswith(begins):
-                    return said
+                reply = protocol.text_of(payload)
+                if came == kind and reply.startswith(begins):
+                    return reply
                 if came in (protocol.ERROR, kind):
-                    raise DeviceError(f"QTM answers {said!r} to {asked!r}")
+                    raise DeviceError(f"QTM answers {reply!r} to {asked!r}")
         raise DeviceError(f"{self._link.address} does not answer {asked!r}; is QTM's real-time output on?")
 
 

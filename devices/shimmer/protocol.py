@@ -157,35 +157,35 @@ class ShimmerDecoder:
     def feed(self, data: bytes) -> ShimmerPackets:
         buffer, at, size = self._buffer + data, 0, self.size
         found = bytearray()
-        told = ShimmerPackets(np.empty(0, np.int64), np.empty((0, size), np.uint8))
+        packets = ShimmerPackets(np.empty(0, np.int64), np.empty((0, size), np.uint8))
         while at < len(buffer):
             if between := _between(buffer, at):
                 if between < 0:
                     break
                 if between == ANSWERS[CHARGED]:
-                    told.battery.append(buffer[at + 2 : at + between])
+                    packets.battery.append(buffer[at + 2 : at + between])
                 at += between
                 continue
             good = self._good(buffer, at)
             if good is None:
                 break
             if not good:
-                told.dropped += 1
+                packets.dropped += 1
                 self._astray = self._last is not None
                 at += 1
                 continue
             packet = buffer[at : at + size]
             if packet == self._packet:
-                told.repeated += 1
+                packets.repeated += 1
             else:
                 found += packet
-            told.resyncs += self._astray
+            packets.resyncs += self._astray
             self._packet, self._last, self._astray = packet, _ticks(packet, 0), False
             at += size
         self._buffer = buffer[at:]
-        told.table = np.frombuffer(bytes(found), np.uint8).reshape(-1, size)
-        told.ticks = _integers(told.table, 1, ShimmerChannel("", 3, signed=False))
-        return told
+        packets.table = np.frombuffer(bytes(found), np.uint8).reshape(-1, size)
+        packets.ticks = _integers(packets.table, 1, ShimmerChannel("", 3, signed=False))
+        return packets
 
     def _good(self, buffer: bytes, at: int) -> bool | None:
         """Whether a packet begins here; None: more must have come to say."""

@@ -143,9 +143,11 @@ class Shimmer(SerialSource):
         name = talk.ask(bytes([protocol.NAME]), protocol.NAMED, 0)[1:].decode("ascii", "replace")
         volts = protocol.battery_v(talk.ask(bytes([protocol.BATTERY]), protocol.CHARGED, 3))
         board = talk.ask(bytes([protocol.BOARD, 3, 0]), protocol.BOARDED, 0)[1:]
-        told = "unknown" if board[0] == 0xFF else f"SR{board[0]}-{board[1]}-{board[2]}"
+        message = "unknown" if board[0] == 0xFF else f"SR{board[0]}-{board[1]}-{board[2]}"
         firmware, chips = "LogAndStream " + ".".join(map(str, numbers)), units.chips_of(board)
-        feed.identify("Shimmer3", port=self.port, name=name, firmware=firmware, board=told, battery_v=round(volts, 2))
+        feed.identify(
+            "Shimmer3", port=self.port, name=name, firmware=firmware, board=message, battery_v=round(volts, 2)
+        )
         for command in self._settings(chips):
             talk.ask(command, protocol.ACK, 0)
         inquiry = protocol.inquiry(talk.ask(bytes([protocol.INQUIRY]), protocol.INQUIRED, -1))
@@ -212,8 +214,8 @@ class ShimmerReading:
         report_problems(
             feed, bytes_that_are_no_packet=found.dropped, resync=found.resyncs, repeated_packet=found.repeated
         )
-        for told in found.battery:
-            self._tell_battery(protocol.battery_v(told), feed)
+        for level in found.battery:
+            self._tell_battery(protocol.battery_v(level), feed)
         if len(found):
             self._emit(found, feed)
         if time.monotonic() - self._asked > BATTERY_S:

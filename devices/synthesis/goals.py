@@ -45,13 +45,13 @@ class Sought:
 def sought(graph: MotionGraph, seconds: Samples, aim: Aim) -> Sought:
     """An aim as the search knows it; `seconds` as `seconds_to` says."""
     mine = graph.core & (graph.cluster == aim.cluster)
-    none, every = np.zeros(len(mine), np.bool_), np.ones(len(mine), np.bool_)
+    nothing, every = np.zeros(len(mine), np.bool_), np.ones(len(mine), np.bool_)
     togo = np.ascontiguousarray(seconds[:, aim.cluster]) if aim.cluster >= 0 and mine.any() else np.zeros(len(mine))
     if aim.path is None:
-        return Sought(np.zeros((0, 2)), np.zeros(0), mine if aim.cluster >= 0 else none, every, togo)
+        return Sought(np.zeros((0, 2)), np.zeros(0), mine if aim.cluster >= 0 else nothing, every, togo)
     path: Samples = np.asarray(aim.path, np.float64)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    return Sought(path, length, none, mine if aim.cluster >= 0 else every, togo)
+    return Sought(path, length, nothing, mine if aim.cluster >= 0 else every, togo)
 
 
 def seconds_to(graph: MotionGraph) -> Samples:

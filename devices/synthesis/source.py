@@ -130,7 +130,7 @@ class Synthesis(Source):
         aims = self.aims(graph)
         walker = GraphWalk(graph, aims, np.array(self.forbidden).reshape(-1, 3), self.seed)
         begun, last = feed.now(), round(self.duration_s * graph.rate_hz)
-        nearest_m, since, told = np.inf, 0, 0
+        nearest_m, since, trespasses = np.inf, 0, 0
         self._tell(feed, walker, begun)
         for frame in range(last) if last else count():
             stamp = begun + round(frame * NS / graph.rate_hz)
@@ -143,8 +143,8 @@ class Synthesis(Source):
             feed.emit(Chunk(np.array([stamp]), walker.pose[None].copy(), stamp), "pose")
             if entered:
                 self._tell(feed, walker, stamp + 1)
-            if walker.trespassed > told:
-                told = walker.trespassed
+            if walker.trespassed > trespasses:
+                trespasses = walker.trespassed
                 feed.problem("frames in a forbidden area")
             if aims and walker.progress.over and self.then == "stop":
                 return

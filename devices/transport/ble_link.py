@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from kinegraph.devices.transport.ble_radio import library, nobody, options, run, uuid, wanted
+from kinegraph.devices.transport.ble_radio import library, not_found, options, run, uuid, wanted
 from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.source import Feed
@@ -52,14 +52,14 @@ class BleLink(ClosesAtExit):
         self._changed = asyncio.Event()
         fits, seen = wanted(device, services), {}
 
-        def sees(found: Any, said: Any) -> bool:
-            seen[found.address] = found, said
-            return fits(found, said)
+        def sees(found: Any, advertised: Any) -> bool:
+            seen[found.address] = found, advertised
+            return fits(found, advertised)
 
         scanner = self._bleak.BleakScanner
         found = await scanner.find_device_by_filter(sees, timeout=scan_s, **options("scanner"))
         if found is None:
-            raise nobody(device, services, scan_s, list(seen.values()))
+            raise not_found(device, services, scan_s, list(seen.values()))
         self.name = f"{found.name or 'a nameless device'} ({found.address})"
         client = self._bleak.BleakClient(found, disconnected_callback=self._left, timeout=scan_s, **options("client"))
         await client.connect()

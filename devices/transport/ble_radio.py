@@ -74,18 +74,20 @@ def wanted(device: str, services: Sequence[str]) -> Callable[[Any, Any], bool]:
     """Whether a device is the one that is meant: by its address, by how its name begins, or by a service that it advertises."""
     needed = {uuid(one) for one in services}
 
-    def fits(found: Any, said: Any) -> bool:
-        name = said.local_name or found.name or ""
+    def fits(found: Any, advertised: Any) -> bool:
+        name = advertised.local_name or found.name or ""
         if device:
             return bool(found.address.lower() == device.lower() or name.lower().startswith(device.lower()))
-        return bool(needed & {one.lower() for one in said.service_uuids})
+        return bool(needed & {one.lower() for one in advertised.service_uuids})
 
     return fits
 
 
-def nobody(device: str, services: Sequence[str], scan_s: float, seen: Sequence[tuple[Any, Any]]) -> DeviceError:
+def not_found(device: str, services: Sequence[str], scan_s: float, seen: Sequence[tuple[Any, Any]]) -> DeviceError:
     """The error where what is meant does not advertise."""
-    names = sorted({f"{said.local_name or found.name or 'nameless'} ({found.address})" for found, said in seen})
+    names = sorted(
+        {f"{advertised.local_name or found.name or 'nameless'} ({found.address})" for found, advertised in seen}
+    )
     here = f"; there are {', '.join(names[:SHOWN])}" if names else "; nothing else does either"
     what = repr(device) if device else f"a device with service {' or '.join(services)}"
     return DeviceError(

@@ -144,15 +144,15 @@ def failure(address: str, error: OSError, device: UsbAddress | None = None) -> D
     """What an error of pyusb means, and what can be done."""
     match error.errno:
         case errno.EACCES | errno.EPERM if device:
-            told = f"permission denied; {rule(device)}"
+            reason = f"permission denied; {rule(device)}"
         case errno.EBUSY:
-            told = "another program or a driver of the system has it; close that one first"
+            reason = "another program or a driver of the system has it; close that one first"
         case errno.ENODEV | errno.ENXIO:
-            told = "it is gone (unplugged, or it has restarted)"
+            reason = "it is gone (unplugged, or it has restarted)"
         case errno.EIO:
-            told = "it does not answer any more (a loose cable, or it is just being unplugged)"
+            reason = "it does not answer any more (a loose cable, or it is just being unplugged)"
         case errno.EOVERFLOW:
-            told = "it sent more than a transfer takes"
+            reason = "it sent more than a transfer takes"
         case _:
-            told = error.strerror or str(error)
-    return DeviceError(f"{address}: {told}")
+            reason = error.strerror or str(error)
+    return DeviceError(f"{address}: {reason}")

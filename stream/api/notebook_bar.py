@@ -39,10 +39,10 @@ def notebook_bar(title: str, total_s: float) -> Iterator[Callable[[float], None]
 def bar_html(title: str, done_s: float, total_s: float, took_s: float) -> dict[str, str]:
     """How a notebook shows the progress of work, in seconds done and in all; by the kind of the text."""
     left = took_s * (total_s - done_s) / done_s
-    told = f"{title}: {done_s:.0f} of {total_s:.0f} s, {left:.0f} s left"
+    text = f"{title}: {done_s:.0f} of {total_s:.0f} s, {left:.0f} s left"
     return {
-        "text/html": f'<progress max="{total_s:g}" value="{done_s:g}"></progress> {escape(told)}',
-        "text/plain": told,
+        "text/html": f'<progress max="{total_s:g}" value="{done_s:g}"></progress> {escape(text)}',
+        "text/plain": text,
     }
 
 

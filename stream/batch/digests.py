@@ -25,7 +25,7 @@ LONGEST_PATH = 4096
 
 def job_digest(job: Job, graph: Graph, recording: str) -> str:
     """The hash of a job: its graph and settings, the recording's hash, the code, and the files that parameters name."""
-    told = {
+    facts = {
         "graph": graph.text,
         "settings": dict(job.settings),
         "recording": recording,
@@ -33,7 +33,7 @@ def job_digest(job: Job, graph: Graph, recording: str) -> str:
         "own code": {name: sha256_of(path) for name, path in sorted(_own_code(graph).items())},
         "models": {str(path): sha256_of(path) for path in sorted(_files_named(graph))},
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
 
 @cache

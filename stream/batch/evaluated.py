@@ -58,5 +58,7 @@ def compared(
             raise KinegraphError(f"{result}: holds {len(recordings)} {holds[0]}; {option} says {holds[1]}")
         of = {recordings[0]: reference}
     else:
-        of = {named_in(table, made): told for made, told in rows(table)} if table else {}
-    return [(short_name(entry), ", ".join(settings_of(entry)), path, told) for path, entry, told in matched(result, of)]
+        of = {named_in(table, made): value for made, value in rows(table)} if table else {}
+    return [
+        (short_name(entry), ", ".join(settings_of(entry)), path, value) for path, entry, value in matched(result, of)
+    ]

@@ -33,8 +33,8 @@ class Job:
     @property
     def key(self) -> str:
         """The name of this job's files: the same recording with the same settings has the same, whatever else has changed."""
-        told = json.dumps([str(self.recording), self.settings], sort_keys=True, default=str)
-        return hashlib.sha256(told.encode()).hexdigest()[:20]
+        text = json.dumps([str(self.recording), self.settings], sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 def jobs(recordings: Iterable[Path], grid: Mapping[str, Sequence[Any]]) -> list[Job]:

@@ -90,7 +90,7 @@ class Manifest:
                 yield entry
 
 
-def _entry(told: dict[str, Any]) -> JobEntry:
-    if told.pop("format", None) != FORMAT:
+def _entry(facts: dict[str, Any]) -> JobEntry:
+    if facts.pop("format", None) != FORMAT:
         raise KinegraphError("these results are of another version of kinegraph; give another folder with -o")
-    return JobEntry(**told)
+    return JobEntry(**facts)

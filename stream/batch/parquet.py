@@ -70,9 +70,9 @@ class ParquetTable:
             pa.field(name, _value_type(pa, kind), metadata={"unit": unit} if unit else None)
             for (name, unit), kind in zip(self._names, kinds, strict=True)
         ]
-        told = {"rate_hz": self.spec.rate_hz, "units": dict(self._names), "spec": self.spec.to_json()}
+        facts = {"rate_hz": self.spec.rate_hz, "units": dict(self._names), "spec": self.spec.to_json()}
         own = [pa.field(TIME, pa.timestamp("ns", tz="UTC")), pa.field(LOST, pa.int64())]
-        return pa.schema([*labels, *own, *samples], metadata={"kinegraph": json.dumps(told)})
+        return pa.schema([*labels, *own, *samples], metadata={"kinegraph": json.dumps(facts)})
 
     def _flush(self) -> None:
         if not self._held:

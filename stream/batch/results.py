@@ -87,14 +87,14 @@ def _schema(pa: Any, columns: dict[str, list[Any]]) -> Any:
 
 
 def _row(entry: JobEntry, facts: list[str]) -> dict[str, Any]:
-    told = asdict(entry)
+    record = asdict(entry)
     row: dict[str, Any] = {
         "recording": entry.name,
-        "settings": json.dumps(told["settings"], default=str),
+        "settings": json.dumps(record["settings"], default=str),
         "status": entry.status,
     }
     row |= {"error": entry.error, "digest": entry.digest, "seconds": entry.seconds, "took_s": entry.took_s}
-    row |= {"left_out": json.dumps(told["left_out"])}
+    row |= {"left_out": json.dumps(record["left_out"])}
     return row | {
         f"session.{name}" if name in row else name: None if name not in entry.facts else str(entry.facts[name])
         for name in facts

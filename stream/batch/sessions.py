@@ -101,12 +101,12 @@ class JobRecording:
 
     def _described(self, name: str) -> RecordedStream:
         file = self._file(name)
-        told = json.loads((file.schema_arrow.metadata or {}).get(b"kinegraph", b"{}"))
-        if "spec" not in told:
+        record = json.loads((file.schema_arrow.metadata or {}).get(b"kinegraph", b"{}"))
+        if "spec" not in record:
             raise RecordingError(
                 f"{self.path.parent.parent}: made by another version of kinegraph; run the batch again"
             )
-        return RecordedStream(StreamSpec.from_json(told["spec"]), "edge", samples=file.metadata.num_rows)
+        return RecordedStream(StreamSpec.from_json(record["spec"]), "edge", samples=file.metadata.num_rows)
 
 
 StoredSession: TypeAlias = Recording | JobRecording

@@ -74,20 +74,20 @@ def do(folder: Path, job: Job, *, digest: str = "") -> tuple[JobEntry, bool]:
         other = f"{folder} is another batch's now, with another graph or other options; nothing was written"
         return JobEntry(job.key, job.name, job.settings, "failed", "", error=other), True
     before = manifest.load(job.key)
-    told: dict[str, Any] = {"key": job.key, "name": job.name, "settings": job.settings, "digest": ""}
+    facts: dict[str, Any] = {"key": job.key, "name": job.name, "settings": job.settings, "digest": ""}
     try:
         found = recording_digest(job.recording, before.recording if before else {})
         with Recording.open(job.recording) as recording:
             graph = common.graph(recording, job.settings)
-            told |= {"digest": job_digest(job, graph, found["sha256"]), "recording": found}
-            if before and before.digest == told["digest"] and not (before.failed or common.again):
+            facts |= {"digest": job_digest(job, graph, found["sha256"]), "recording": found}
+            if before and before.digest == facts["digest"] and not (before.failed or common.again):
                 return before, False
             manifest.forget(job.key)
-            told |= _replayed(folder, job, graph, recording)
-        entry = JobEntry(**told, took_s=time.monotonic() - began)
+            facts |= _replayed(folder, job, graph, recording)
+        entry = JobEntry(**facts, took_s=time.monotonic() - began)
     except Exception as error:  # noqa: BLE001 - a job's failure is a row in `failed`, whatever it is; the other jobs go on
         manifest.forget(job.key)
-        entry = JobEntry(**told, status="failed", error=_why(error), took_s=time.monotonic() - began)
+        entry = JobEntry(**facts, status="failed", error=_why(error), took_s=time.monotonic() - began)
     manifest.save(entry)
     return entry, True
 

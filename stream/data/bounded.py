@@ -64,9 +64,9 @@ def check_size(declared: int, packed: int, what: str = "it") -> int:
 def unpack_zstd(data: bytes | memoryview, size: int) -> bytes:
     """One zstd frame that holds `size` bytes. Raises TooLarge, or ValueError or ZstdError where it is damaged."""
     check_size(size, len(data))
-    said = zstandard.get_frame_parameters(data).content_size
-    if said not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-        raise ValueError(f"it claims to hold {said} bytes, and {size} beside it")
+    declared = zstandard.get_frame_parameters(data).content_size
+    if declared not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+        raise ValueError(f"it claims to hold {declared} bytes, and {size} beside it")
     return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
 
 

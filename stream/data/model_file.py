@@ -61,16 +61,16 @@ class Model:
 
     def check_input(self, port: str, spec: StreamSpec) -> None:
         """Raise InputError unless `spec` is of the kind that the model was trained on: shape, channels, units, and rate within 2 %."""
-        told = self.header.get("input")
-        if not isinstance(told, dict):
+        trained_on = self.header.get("input")
+        if not isinstance(trained_on, dict):
             raise ModelError(f"{self.path}: the header does not say what stream the model takes")
         mine = describe_input(spec)
         for name in ("shape", "channels", "units"):
-            if told.get(name) != mine[name]:
+            if trained_on.get(name) != mine[name]:
                 raise InputError(
-                    port, f"{name} {mine[name]}", f"{name} {told.get(name)}, as {self.path} was trained on"
+                    port, f"{name} {mine[name]}", f"{name} {trained_on.get(name)}, as {self.path} was trained on"
                 )
-        rate, trained = mine["rate_hz"], told.get("rate_hz")
+        rate, trained = mine["rate_hz"], trained_on.get("rate_hz")
         if trained and (not rate or abs(rate - trained) > 0.02 * trained):
             raise InputError(
                 port, f"{rate or 'no fixed'} Hz", f"{trained:g} Hz within 2 %, as {self.path} was trained on"

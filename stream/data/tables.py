@@ -107,7 +107,7 @@ def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
         )
     names = _numbered(names)
     if units := _units(lines, at + 1, delimiter, len(names)):
-        names = [(name, unit or told) for (name, unit), told in zip(names, units, strict=True)]
+        names = [(name, unit or given_unit) for (name, unit), given_unit in zip(names, units, strict=True)]
         at += 1
     data = _fast(lines[at + 1 :], delimiter, len(names))
     if data is None:
@@ -206,11 +206,11 @@ def _by_spaces(lines: list[str], at: int) -> bool:
 def _units(lines: list[str], at: int, delimiter: str, columns: int) -> list[str]:
     """The units in a line of short words, one for each column, or blank; [] where the line is none."""
     cells = next(csv.reader([lines[at]], delimiter=delimiter), []) if at < len(lines) else []
-    told = [cell.strip().strip("[]()") for cell in cells]
-    words = [cell for cell in told if cell and cell != "-"]
+    texts = [cell.strip().strip("[]()") for cell in cells]
+    words = [cell for cell in texts if cell and cell != "-"]
     known = all(re.fullmatch(r"[A-Za-z\u00b5\u03bc%\u00b0][A-Za-z0-9/*.^\u00b2]{0,7}|-", word) for word in words)
-    fits = len(told) == columns and words and known and not any(map(_is_number, words))
-    return ["" if cell == "-" else cell for cell in told] if fits else []
+    fits = len(texts) == columns and words and known and not any(map(_is_number, words))
+    return ["" if cell == "-" else cell for cell in texts] if fits else []
 
 
 def _fast(body: list[str], delimiter: str, columns: int) -> Array | None:

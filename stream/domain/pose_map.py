@@ -97,18 +97,18 @@ class MotionIndex:
 
     def write(self, path: Path, header: dict[str, Any]) -> None:
         """Write it as a model, not compressed, so that a million poses are read in a moment. Raises OSError."""
-        told = {name: getattr(self, name) for name in NUMBERS}
-        told |= {"markers": list(self.markers), "unit": self.unit, "channels": self.channels}
-        told["sequences"] = [{f.name: getattr(s, f.name) for f in fields(PoseSequence)} for s in self.sequences]
-        write_model(path, KIND, {**header, **told}, {name: getattr(self, name) for name in ARRAYS}, compressed=False)
+        facts = {name: getattr(self, name) for name in NUMBERS}
+        facts |= {"markers": list(self.markers), "unit": self.unit, "channels": self.channels}
+        facts["sequences"] = [{f.name: getattr(s, f.name) for f in fields(PoseSequence)} for s in self.sequences]
+        write_model(path, KIND, {**header, **facts}, {name: getattr(self, name) for name in ARRAYS}, compressed=False)
 
     @staticmethod
     def read(path: Path) -> MotionIndex:
         """Read one, and refuse what does not hang together. Raises ModelError."""
         model = read_model(path, KIND)
         try:
-            told = {name: float(model.header[name]) for name in NUMBERS}
-            columns = int(told.pop("columns"))
+            facts = {name: float(model.header[name]) for name in NUMBERS}
+            columns = int(facts.pop("columns"))
             markers = tuple(str(name) for name in model.header["markers"])
             unit = str(model.header["unit"])
             sequences = tuple(_sequence(one) for one in model.header["sequences"])
@@ -116,7 +116,7 @@ class MotionIndex:
             raise ModelError(f"{path}: the header does not describe a map of motion ({error})") from None
         sizes = _sizes(model, len(markers))
         arrays = {name: model.array(name, sizes[name], dtype) for name, dtype in ARRAYS.items()}
-        made = MotionIndex(markers=markers, unit=unit, sequences=sequences, columns=columns, **told, **arrays)  # type: ignore[arg-type]
+        made = MotionIndex(markers=markers, unit=unit, sequences=sequences, columns=columns, **facts, **arrays)  # type: ignore[arg-type]
         if wrong := _wrong(made):
             raise ModelError(f"{path}: {wrong}; train it again")
         return made
@@ -129,11 +129,11 @@ ARRAYS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def _sequence(told: dict[str, Any]) -> PoseSequence:
-    facts = {str(k): str(v) for k, v in told["facts"].items()}
-    first, last = int(told["first"]), int(told["last"])
-    start_s, rate_hz = float(told["start_s"]), float(told["rate_hz"])
-    return PoseSequence(str(told["name"]), first, last, start_s, rate_hz, facts, tuple(map(str, told["missing"])))
+def _sequence(record: dict[str, Any]) -> PoseSequence:
+    facts = {str(k): str(v) for k, v in record["facts"].items()}
+    first, last = int(record["first"]), int(record["last"])
+    start_s, rate_hz = float(record["start_s"]), float(record["rate_hz"])
+    return PoseSequence(str(record["name"]), first, last, start_s, rate_hz, facts, tuple(map(str, record["missing"])))
 
 
 def _sizes(model: Model, markers: int) -> dict[str, Sequence[int | None]]:

@@ -66,7 +66,7 @@ class Stage:
         if chunk is NOTHING or port is None or port.operator is not self.operator:
             return FOREVER  # it closes
         newest = chunk.time.item(-1) if len(chunk.time) else NEVER
-        return max(newest, chunk.until, *(feed.told for feed in self.limits))
+        return max(newest, chunk.until, *(feed.promised for feed in self.limits))
 
     def push(self, port: str) -> Push:
         """What brings a chunk to this operator's input `port`."""
@@ -294,7 +294,7 @@ class Pipeline:
                 stage.merge.restore(_under(arrays, f"{name}/merge/"))
         for name, edge in self.edges.items():
             edge.pending_gap, edge.samples, edge.gaps, edge.lost = (int(v) for v in arrays[f"{name}/edge"])
-            edge.told = NEVER
+            edge.promised = NEVER
         self.invalidate()
 
 

@@ -57,7 +57,7 @@ def catch_up(
         port.pending_gap = -1  # also where the first chunks, which say so, come before the common start
     _hush(pipeline, lambda outlet: False)
     for edge in pipeline.edges.values():
-        edge.told = NEVER  # what had ended goes on
+        edge.promised = NEVER  # what had ended goes on
     pipeline.compile()
     workers.go_on()
     recording.close()

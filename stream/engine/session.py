@@ -125,7 +125,7 @@ class Session:
                 finally:
                     self._ran_s = time.monotonic() - self._began
                 self.log.asked_to_end(self.asked_by)
-        except Exception as error:  # noqa: BLE001 - told to the caller in the outcome, after everything is closed
+        except Exception as error:  # noqa: BLE001 - returned in the outcome, after everything is closed
             self._error = self._memory.of(error)
         finally:
             compilations.stop()
@@ -238,7 +238,7 @@ class Session:
         if self._error is None:
             try:
                 drain(self._ingress, self._workers, self.pipeline, self._pump)
-            except Exception as error:  # noqa: BLE001 - told in the outcome; what is open must be closed first
+            except Exception as error:  # noqa: BLE001 - returned in the outcome; what is open must be closed first
                 self._error = error
         if not self._broken_off:
             self._close()

@@ -55,7 +55,7 @@ class Loss:
         self.times += 1
         self.samples += facts["samples"]
 
-    def told(self, now: float) -> dict[str, Any]:
+    def summary(self, now: float) -> dict[str, Any]:
         """The facts to be reported now, with all samples lost; from here on it is counted from zero."""
         facts = self.facts | {"samples": self.samples} | ({"times": self.times} if self.times > 1 else {})
         self.next, self.times, self.samples = now + TOLD_EVERY_S, 0, 0
@@ -245,7 +245,7 @@ class SessionLog:
     def _tell_losses(self, now: float) -> None:
         with self._losing:
             due = [
-                (kind, loss.told(now)) for (kind, _), loss in self._losses.items() if loss.times and now >= loss.next
+                (kind, loss.summary(now)) for (kind, _), loss in self._losses.items() if loss.times and now >= loss.next
             ]
         for kind, facts in due:
             log.warning(kind, **facts)

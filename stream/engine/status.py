@@ -65,7 +65,7 @@ def table_of(
     table: Table = {}
     for port in ports:
         table[port.stream] = row = _source_row(port, now)
-        rate = rates.of(port.stream, row["samples"], port.edge.told)
+        rate = rates.of(port.stream, row["samples"], port.edge.promised)
         row["rate_hz"] = 0.0 if row["state"] == "stale" else rate
     for name, stage in pipeline.stages.items():
         table[name] = _stage_row(stage, workers.queues, rates)
@@ -79,7 +79,7 @@ def table_of_replay(pipeline: Pipeline, rates: Rates) -> Table:
     pipeline.fold(least=1)
     table: Table = {}
     for name, edge in pipeline.entries.items():
-        rate = rates.of(name, edge.samples, edge.told)
+        rate = rates.of(name, edge.samples, edge.promised)
         table[name] = {"kind": "source", "samples": edge.samples, "gaps": edge.gaps, "lost": edge.lost, "rate_hz": rate}
     for name, stage in pipeline.stages.items():
         table[name] = _stage_row(stage, {}, rates)
@@ -126,7 +126,7 @@ def _stage_row(stage: Stage, waiting: Mapping[str, BoundedQueue], rates: Rates) 
         "kind": "outlet" if stage.node.is_outlet else "operator",
         "worker": stage.worker,
         "samples": samples,
-        "rate_hz": rates.of(stage.node.name, samples, max((edge.told for edge in stage.feeds), default=NEVER)),
+        "rate_hz": rates.of(stage.node.name, samples, max((edge.promised for edge in stage.feeds), default=NEVER)),
         **rounded(stage.timing.read()),
         "queue": sum(c.depth for c in queues),
         "dropped": sum(c.dropped for c in queues),

@@ -100,7 +100,7 @@ def _read_instead(pipeline: Pipeline, edges: Mapping[Edge, LiveEdge]) -> None:
 
 
 def _move(of: LiveEdge, to: LiveEdge) -> None:
-    for slot in ("observers", "readers", "pending_gap", "gaps", "lost", "samples", "told"):
+    for slot in ("observers", "readers", "pending_gap", "gaps", "lost", "samples", "promised"):
         setattr(to, slot, getattr(of, slot))
 
 

@@ -61,7 +61,7 @@ class Worker:
 class Workers:
     """All workers of a run, and the queues between them and the graph's own thread.
 
-    on_drop   told of every drop: queue (its name), first (the dropped samples' running index), samples (how many)
+    on_drop   called at every drop with queue (its name), first (the dropped samples' running index), samples (how many)
     """
 
     def __init__(

@@ -81,7 +81,7 @@ def gaps(trial: Conformance) -> None:
     lead = max(trial.tapes.values(), key=len)
     at = int(lead.time[len(lead) // 2])
     shift = round((10 * trial.limit_s + 1000) * NS)
-    tapes = pause(trial.tapes, at, shift, told=True)
+    tapes = pause(trial.tapes, at, shift, marked=True)
     if not any(tape.lost.any() for tape in tapes.values()):
         return
     how = f"a silence of {shift / NS:g} s before {utc(at + shift)}"

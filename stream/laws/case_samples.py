@@ -99,7 +99,7 @@ def _later(tape: CaseSamples, since: int, shift: int) -> CaseSamples:
     return replace(tape, time=time, data=data, lost=tape.lost.copy())
 
 
-def pause(tapes: Tapes, at: int, shift: int, *, known: bool = False, told: bool = False) -> Tapes:
+def pause(tapes: Tapes, at: int, shift: int, *, known: bool = False, marked: bool = False) -> Tapes:
     """From `at` on everything happens `shift` ns later. Regular streams say that samples are missing there; `told`: all streams do.
 
     known   they say how many, where that is a whole number
@@ -108,7 +108,7 @@ def pause(tapes: Tapes, at: int, shift: int, *, known: bool = False, told: bool 
     for port, tape in tapes.items():
         moved = _later(tape, at, shift)
         k = int(tape.time.searchsorted(at))
-        if 0 < k < len(tape) and (told or tape.spec.period_ns):
+        if 0 < k < len(tape) and (marked or tape.spec.period_ns):
             lost = tape.lost.copy()
             count = shift * (tape.spec.rate_hz or 0.0) / NS
             missing = round(count) if known and abs(count - round(count)) < 1e-3 and round(count) else -1
@@ -140,39 +140,39 @@ def spoil(tapes: Tapes, port: str, rows: slice, column: int | None, value: float
 
 def with_faults(draw: Draw, tapes: Tapes, limit_s: float) -> tuple[Tapes, list[str]]:
     """Up to two gaps, pauses or silences, and up to two bad stretches; with a line on each. `limit_s`: what a long gap exceeds."""
-    told: list[str] = []
+    rows: list[str] = []
     for _ in range(draw(0, 2)):
         full = [port for port, tape in tapes.items() if len(tape) > 1]
         if full:
-            tapes = _gap(draw, tapes, full[draw(0, len(full) - 1)], limit_s, told)
+            tapes = _gap(draw, tapes, full[draw(0, len(full) - 1)], limit_s, rows)
     for _ in range(draw(0, 2)):
         floats = [port for port, tape in tapes.items() if tape.is_float and len(tape)]
         if floats:
-            tapes = _bad(draw, tapes, floats[draw(0, len(floats) - 1)], told)
-    return tapes, told
+            tapes = _bad(draw, tapes, floats[draw(0, len(floats) - 1)], rows)
+    return tapes, rows
 
 
-def _gap(draw: Draw, tapes: Tapes, port: str, limit_s: float, told: list[str]) -> Tapes:
+def _gap(draw: Draw, tapes: Tapes, port: str, limit_s: float, lines: list[str]) -> Tapes:
     tape, kind, known = tapes[port], draw(0, 2), bool(draw(0, 1))
     at = draw(0, len(tape) - 1)
     if kind == 0:
         count = draw(1, min(5, len(tape) - at))
-        told.append(f"{count} samples of '{port}' missing from sample {at} on (told: {count if known else -1})")
+        lines.append(f"{count} samples of '{port}' missing from sample {at} on (marked: {count if known else -1})")
         return drop(tapes, port, at, count, known=known)
     period = tape.spec.period_ns or 1_000_000
     longest = max(1, int(limit_s * NS / period))
     periods = draw(1, min(longest, 50)) if kind == 1 else 3 * longest + draw(0, 1000)
-    told.append(f"{periods * period / NS:g} s of silence on all inputs before sample {at} of '{port}'")
+    lines.append(f"{periods * period / NS:g} s of silence on all inputs before sample {at} of '{port}'")
     return pause(tapes, int(tape.time[at]), periods * period, known=known)
 
 
-def _bad(draw: Draw, tapes: Tapes, port: str, told: list[str]) -> Tapes:
+def _bad(draw: Draw, tapes: Tapes, port: str, lines: list[str]) -> Tapes:
     tape, value = tapes[port], (np.nan, np.inf, -np.inf)[draw(0, 2)]
     start = draw(0, len(tape) - 1)
     stop = start + draw(1, min(40, len(tape) - start))
     width = tape.columns().shape[1]
     column = draw(0, width)
-    told.append(
+    lines.append(
         f"{value} in samples {start}..{stop - 1} of '{port}', {'all numbers' if column == width else f'number {column}'}"
     )
     return spoil(tapes, port, slice(start, stop), None if column == width else column, value)

@@ -35,16 +35,16 @@ def _chunks(draw: Draw, tape: CaseSamples, horizon: int) -> Iterator[Chunk]:
     gaps = [k for k in range(len(tape)) if tape.lost[k]]
     cuts = sorted([*gaps, *_places(draw, len(tape)), *(k for k in gaps for _ in range(draw(0, 1)))])
     slack = cycle([draw(0, 2) for _ in range(3)])
-    told = (int(tape.time[0]) if len(tape) else horizon) - 2 * NS
+    promised = (int(tape.time[0]) if len(tape) else horizon) - 2 * NS
     ends_at_once = bool(draw(0, 1))
     for start, stop in zip([0, *cuts], [*cuts, len(tape)], strict=True):
         most = int(tape.time[stop]) - 1 if stop < len(tape) else horizon
-        least = max(told, min(int(tape.time[stop - 1]), most)) if stop > start else min(told, most)
-        told = max(told, least + (most - least) * next(slack) // 2)
+        least = max(promised, min(int(tape.time[stop - 1]), most)) if stop > start else min(promised, most)
+        promised = max(promised, least + (most - least) * next(slack) // 2)
         lost = int(tape.lost[start]) if stop > start else 0
         if stop == len(tape):
-            told = FOREVER if ends_at_once else horizon
-        yield Chunk(tape.time[start:stop], tape.data[start:stop], told, lost)
+            promised = FOREVER if ends_at_once else horizon
+        yield Chunk(tape.time[start:stop], tape.data[start:stop], promised, lost)
     yield empty(tape.spec, FOREVER)
 
 
@@ -95,5 +95,5 @@ def _runs(texts: list[str]) -> str:
     for text in texts:
         count = runs.pop()[1] if runs and runs[-1][0] == text else 0
         runs.append((text, count + 1))
-    told = [text if count == 1 else f"{count}x{text}" for text, count in runs]
-    return " ".join(told if len(told) <= 30 else [*told[:20], f"... ({len(told) - 25} more) ...", *told[-5:]])
+    lines = [text if count == 1 else f"{count}x{text}" for text, count in runs]
+    return " ".join(lines if len(lines) <= 30 else [*lines[:20], f"... ({len(lines) - 25} more) ...", *lines[-5:]])

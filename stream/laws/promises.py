@@ -61,10 +61,10 @@ def settling(trial: Conformance) -> None:
     longer = {port: spec.derive(settling_s=spec.settling_s + 5.0) for port, spec in trial.reference.specs.items()}
     opened = trial.case.operator.unopened().open(longer)
     for name, output in trial.reference.outputs.items():
-        told = opened[name].settling_s
-        if output.spec.rate_hz and told < output.spec.settling_s + 5.0 - 1e-9 and "settling" not in trial.excused:
+        declared = opened[name].settling_s
+        if output.spec.rate_hz and declared < output.spec.settling_s + 5.0 - 1e-9 and "settling" not in trial.excused:
             raise Broken(
                 "settling",
-                f"output '{name}' settles in {told:g} s where the inputs take 5 s longer than in the case; "
+                f"output '{name}' settles in {declared:g} s where the inputs take 5 s longer than in the case; "
                 f"there it does in {output.spec.settling_s:g} s",
             )

@@ -53,20 +53,20 @@ class FakeFeed:
     """A feed on which no time passes but what is waited for; `told` is what happened."""
 
     def __init__(self, frames: int) -> None:
-        self.told: list[str] = []
+        self.reports: list[str] = []
         self.at, self._left, self.stopped = 10 * NS, 3 * frames, False
 
     def now(self) -> int:
         return self.at
 
     def wait(self, seconds: float) -> bool:
-        self.told.append("wait")
+        self.reports.append("wait")
         self.at += round(seconds * NS)
         return False
 
     def emit(self, chunk: Chunk, output: str) -> None:
         assert chunk.time[0] == pytest.approx(self.at, abs=1000), "it comes when it is due"
-        self.told.append(output)
+        self.reports.append(output)
         self._left -= 1
         self.stopped = self._left <= 0
 
@@ -74,7 +74,7 @@ class FakeFeed:
 def test_a_frame_is_drawn_before_it_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
     feed: Any = FakeFeed(3)
     drawn = RenderedPerformer.frame
-    monkeypatch.setattr(RenderedPerformer, "frame", lambda *given: feed.told.append("draw") or drawn(*given))
+    monkeypatch.setattr(RenderedPerformer, "frame", lambda *given: feed.reports.append("draw") or drawn(*given))
     BeforeCamera(width=64, height=48).read(feed)
     frame = ["wait", "mono", "depth", "joints", "wait", "draw"]
-    assert feed.told == ["draw", *frame, *frame, *frame, "wait"]
+    assert feed.reports == ["draw", *frame, *frame, *frame, "wait"]

@@ -30,8 +30,8 @@ class Process:
             command = [*ELSEWHERE, "sh", "-c", 'hostname "$0" && exec "$@"', host, *command]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert self._process.stdout and self._process.stderr
-        said = self._process.stdout.readline()
-        assert said.startswith("LSL stream"), said + self._process.stderr.read()
+        output = self._process.stdout.readline()
+        assert output.startswith("LSL stream"), output + self._process.stderr.read()
 
     def kill(self) -> None:
         """As a crash or a power cut ends it."""

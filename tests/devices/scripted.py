@@ -58,10 +58,10 @@ class Cable:
             self.resets += 1
             self.brain.restart()
         self.brain.ahead_s = self.injector.jumped_s(self.now_s)  # type: ignore[attr-defined]
-        said = b"".join(self.injector.spoil(self.brain.say(self.now_s), self.now_s))
-        if said:
+        reported = b"".join(self.injector.spoil(self.brain.say(self.now_s), self.now_s))
+        if reported:
             at = max(self.now_s + self.delay_s(self.now_s), self.due[-1][0] if self.due else 0.0)
-            self.due.append((at, said))
+            self.due.append((at, reported))
         come = [data for at, data in self.due if at <= self.now_s]
         self.due = self.due[len(come) :]
         self.feed.at = BEGAN + round(self.now_s * NS)

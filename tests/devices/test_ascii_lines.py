@@ -257,7 +257,7 @@ def test_lines_of_another_kind_are_told(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"columns": ["t"], "time": "t"}, "at least one of which is data"),
         ({"columns": ["a", "a"]}, "different names"),
@@ -268,15 +268,15 @@ def test_lines_of_another_kind_are_told(monkeypatch: pytest.MonkeyPatch) -> None
         ({"columns": ["a"], "time_unit": "min"}, "time_unit"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_is_refused(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         build(AsciiLines, {"port": "/dev/ttyACM0", **given}).specs()
 
 
 @pytest.mark.parametrize(("port", "asked"), [("/dev/ttyACM0", True), ("tcp://10.0.0.2:4001", False)])
 def test_the_baud_rate_is_asked_after_only_where_there_is_one(port: str, asked: bool) -> None:
-    told = LinesReading(AsciiLines(port, ("a", "b"))).wrong(9.0, b"1,2,3\r\n")
-    assert told.startswith(f"no good line from {port} within 9 s") and ("baud" in told) == asked
+    reported = LinesReading(AsciiLines(port, ("a", "b"))).wrong(9.0, b"1,2,3\r\n")
+    assert reported.startswith(f"no good line from {port} within 9 s") and ("baud" in reported) == asked
 
 
 def test_a_line_that_comes_twice_is_recorded_once_where_only_the_devices_time_tells() -> None:

@@ -330,8 +330,10 @@ def test_a_wrong_checksum_names_the_one_that_fits(kind: str, start: int, endian:
     data = b"\xa5\x5anoise" + b"".join(made(30, (true,)))
     decoder = FrameDecoder([declared])
     spoilt = [frame for i in range(0, len(data), size) for _, frame in decoder.feed(data[i : i + size]).spoilt]
-    told = fitting(spoilt, declared)
-    assert f"checksum: {kind} with checksum_from: {start}" in told and (bytes_of == 1 or f"{endian}-endian" in told)
+    reported = fitting(spoilt, declared)
+    assert f"checksum: {kind} with checksum_from: {start}" in reported and (
+        bytes_of == 1 or f"{endian}-endian" in reported
+    )
 
 
 def test_frames_without_any_checksum_are_not_talked_into_one() -> None:
@@ -344,7 +346,7 @@ GOOD_FRAME = {"name": "m", "sync": "55", "fields": [{"type": "u8", "name": "a"}]
 
 
 @pytest.mark.parametrize(
-    ("frames", "told"),
+    ("frames", "message"),
     [
         ([{**GOOD_FRAME, "sync": "5"}], "bytes in hex"),
         ([{**GOOD_FRAME, "sync": ""}], "at least one byte"),
@@ -395,8 +397,8 @@ GOOD_FRAME = {"name": "m", "sync": "55", "fields": [{"type": "u8", "name": "a"}]
         ),
     ],
 )
-def test_what_cannot_be_declared(frames: list[dict[str, object]], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_declared(frames: list[dict[str, object]], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         build(Binary, {"port": "/dev/ttyUSB0", "frames": frames}).specs()
 
 

@@ -228,17 +228,17 @@ def test_a_stall_is_no_loss_and_a_short_counters_restart_looks_like_one() -> Non
 
 
 @pytest.mark.parametrize(
-    ("answer", "told"),
+    ("answer", "message"),
     [(b"", "came nothing"), (b"hello\n", "expected 'BITalino_v...'"), (b"BIT", "came 3 bytes: 42 49 54")],
 )
-def test_a_wrong_answer_is_told(answer: bytes, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_answer_is_told(answer: bytes, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     class Other(BitalinoModel):
         def _obey(self, command: int) -> bytes:
             return answer if command == 0x07 else super()._obey(command)
 
     monkeypatch.setattr("kinegraph.devices.bitalino.source.ANSWER_S", 0.4)
     feed = read(Other(), 1)
-    assert isinstance(feed.error, DeviceError) and told in str(feed.error)
+    assert isinstance(feed.error, DeviceError) and message in str(feed.error)
 
 
 def test_a_device_that_falls_silent_is_opened_again() -> None:
@@ -251,7 +251,7 @@ def test_a_device_that_falls_silent_is_opened_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"channels": []}, "one to six different inputs"),
         ({"channels": [{"input": "A1"}, {"input": "A1"}]}, "one to six different inputs"),
@@ -261,8 +261,8 @@ def test_a_device_that_falls_silent_is_opened_again() -> None:
         ({"channels": [{"input": "A1"}], "rate_hz": 500}, "rate_hz"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_is_refused(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         build(Bitalino, {"port": "x", **given}).specs()
 
 

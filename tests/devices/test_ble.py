@@ -82,8 +82,8 @@ def test_frames_lost_on_the_air_are_counted() -> None:
     lost, number = feed.lost("ecg"), whole(feed)
     first = int(number[0])
     assert lost and set(lost.values()) <= {k * ECG_FRAME for k in range(1, 9)}
-    told = first + np.cumsum([lost.get(i, 0) + (i > 0) for i in range(len(number))])
-    assert (told % 1000 == number).all()
+    reported = first + np.cumsum([lost.get(i, 0) + (i > 0) for i in range(len(number))])
+    assert (reported % 1000 == number).all()
     assert feed.problems["lost sample"] == sum(lost.values())
 
 
@@ -115,14 +115,14 @@ def test_a_measurement_that_another_program_left_running_is_begun_again() -> Non
 
 
 @pytest.mark.parametrize(
-    ("status", "told"), [(10, "an MTU of 230 is needed"), (13, "it is being charged"), (77, "error 77")]
+    ("status", "message"), [(10, "an MTU of 230 is needed"), (13, "it is being charged"), (77, "error 77")]
 )
-def test_a_belt_that_refuses_says_why(status: int, told: str) -> None:
+def test_a_belt_that_refuses_says_why(status: int, message: str) -> None:
     with radio() as air:
         air.put(PolarBelt(refuses=status))
         with reading(Polar()) as feed:
             wait_for(lambda: feed.error is not None)
-    assert told in str(feed.error)
+    assert message in str(feed.error)
 
 
 def test_packets_too_small_for_a_frame_are_counted_and_never_read_as_others() -> None:
@@ -202,9 +202,9 @@ def test_a_ganglion_that_sends_differences_is_believed_again_from_the_next_whole
             until(feed, lambda: bool(feed.lost("out")))
     lost = feed.lost("out")
     index = np.cumsum([lost.get(i, 0) + (i > 0) for i in range(feed.count("out"))])
-    told = feed.data("timing")["counter"][0]
+    reported = feed.data("timing")["counter"][0]
     counts = feed.data("out") / UV
-    assert (np.abs(counts - board.counts(index + int(told))) < 2).all()
+    assert (np.abs(counts - board.counts(index + int(reported))) < 2).all()
 
 
 def test_a_treadmill_is_read_and_nothing_is_written() -> None:
@@ -275,22 +275,22 @@ def test_a_ganglions_impedances_are_asked_for_before_a_session_and_it_is_told_to
     with radio() as air:
         board = GanglionBoard(ohm=(9000, 120_000, 7000, 15_000, 11_000))
         air.put(board)
-        told = [(each.channel, each.pole, each.ohm) for each in Ganglion().impedances(LoneFeed())]
-        assert told[:4] == [("ch1", "+", 9e3), ("ch1", "-", 11e3), ("ch2", "+", 120e3), ("ch2", "-", 11e3)]
-        assert len(told) == 8 and not board.measuring
+        rows = [(each.channel, each.pole, each.ohm) for each in Ganglion().impedances(LoneFeed())]
+        assert rows[:4] == [("ch1", "+", 9e3), ("ch1", "-", 11e3), ("ch2", "+", 120e3), ("ch2", "-", 11e3)]
+        assert len(rows) == 8 and not board.measuring
         with reading(Ganglion()) as feed:
             until(feed, lambda: feed.count("out") > 50)
 
 
 @pytest.mark.parametrize(
-    ("data", "told"),
+    ("data", "expected"),
     [
         (b"\xc9" + b"9000Z\n", (1, 9000.0)), (b"\xcd" + b"0", (5, 0.0)), (b"\xce" + b"5", None), (b"\xc8" + b"5", None),
         (b"\xc9", None), (b"", None), (b"\xc9Z5", None),
     ],
 )  # fmt: skip
-def test_what_a_ganglion_says_of_an_impedance(data: bytes, told: tuple[int, float] | None) -> None:
-    assert impedance_ohm(data) == told
+def test_what_a_ganglion_says_of_an_impedance(data: bytes, expected: tuple[int, float] | None) -> None:
+    assert impedance_ohm(data) == expected
 
 
 @pytest.mark.parametrize("source", [Polar(acceleration_hz=50), HeartRate(), MovellaDot(), Ganglion(), FtmsTreadmill()])
@@ -304,10 +304,10 @@ def test_every_one_runs_without_hardware(source: BleSource) -> None:
 def test_without_a_radio_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     import bleak
 
-    async def none(*_: object, **__: object) -> None:
+    async def nothing(*_: object, **__: object) -> None:
         raise bleak.exc.BleakDBusError("org.freedesktop.DBus.Error.ServiceUnknown", ["org.bluez was not provided"])
 
-    monkeypatch.setattr(bleak.BleakScanner, "find_device_by_filter", none)
+    monkeypatch.setattr(bleak.BleakScanner, "find_device_by_filter", nothing)
     with reading(replace(HeartRate(), scan_s=0.1)) as feed:
         wait_for(lambda: feed.error is not None)
     assert "does the system's Bluetooth service run?" in str(feed.error)
@@ -363,7 +363,7 @@ def test_lines_over_bluetooth_are_lines() -> None:
     class Uart:
         name, advertised = "Uart", ()
         services = {"6e400001-b5a3-f393-e0a9-e50e24dcca9e": {"6e400003-b5a3-f393-e0a9-e50e24dcca9e": ["notify"]}}
-        said = 0
+        sent = 0
 
         def connected(self, yes: bool) -> None: ...
 
@@ -374,8 +374,8 @@ def test_lines_over_bluetooth_are_lines() -> None:
             return []
 
         def say(self, seconds: float) -> list[tuple[str, bytes]]:
-            first, self.said = self.said, int(seconds * 50)
-            text = "".join(f"{i * 20},{i}\r\n" for i in range(first, self.said)).encode()
+            first, self.sent = self.sent, int(seconds * 50)
+            text = "".join(f"{i * 20},{i}\r\n" for i in range(first, self.sent)).encode()
             return [("6e400003-b5a3-f393-e0a9-e50e24dcca9e", text[a : a + 7]) for a in range(0, len(text), 7)]
 
     source = AsciiLines(

@@ -19,8 +19,8 @@ from kinegraph.devices.polar.protocol import PmdDecoder
 
 def test_heart_rate_vectors_of_the_polar_sdk() -> None:
     assert heart_rate.parse(bytes.fromhex("08007F80")) == HeartRateMeasurement(0, None, 32895, ())
-    said = heart_rate.parse(bytes.fromhex("110000FFFF7F80"))
-    assert said is not None and said.rr_s == (65535 / 1024, 32895 / 1024)
+    reported = heart_rate.parse(bytes.fromhex("110000FFFF7F80"))
+    assert reported is not None and reported.rr_s == (65535 / 1024, 32895 / 1024)
 
 
 @given(
@@ -28,8 +28,8 @@ def test_heart_rate_vectors_of_the_polar_sdk() -> None:
     st.lists(st.integers(0, 65535), max_size=5),
 )  # fmt: skip
 def test_what_a_belt_sends_is_what_is_read(bpm: int, contact: bool | None, energy: int | None, rr: list[int]) -> None:
-    said = HeartRateMeasurement(bpm, contact, energy, tuple(ticks / 1024 for ticks in rr))
-    assert heart_rate.parse(heart_rate.build(said)) == said
+    reported = HeartRateMeasurement(bpm, contact, energy, tuple(ticks / 1024 for ticks in rr))
+    assert heart_rate.parse(heart_rate.build(reported)) == reported
 
 
 def test_polar_vectors_of_the_sdk() -> None:
@@ -91,10 +91,19 @@ def test_ganglion_differences_are_taken_off() -> None:
 
 
 def test_treadmill_capture() -> None:
-    said = ftms.parse(bytes.fromhex("9C25") + bytes(24))
-    assert said is not None and not said.more
-    assert set(said.values) >= {"speed", "distance", "incline", "climbed", "energy", "heart_rate", "elapsed", "steps"}
-    assert said.values["speed"] == 0 and "pace" not in said.values
+    reported = ftms.parse(bytes.fromhex("9C25") + bytes(24))
+    assert reported is not None and not reported.more
+    assert set(reported.values) >= {
+        "speed",
+        "distance",
+        "incline",
+        "climbed",
+        "energy",
+        "heart_rate",
+        "elapsed",
+        "steps",
+    }
+    assert reported.values["speed"] == 0 and "pace" not in reported.values
     more = ftms.parse(bytes.fromhex("0100"))
     assert more is not None and more.more and more.values == {}
 

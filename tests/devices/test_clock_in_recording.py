@@ -27,10 +27,10 @@ def test_info_tells_of_the_clocks_of_two_devices_one_of_which_is_set(tmp_path: P
         outcome = Session(load_text(f"nodes:\n{nodes}"), tmp_path / "s", duration_s=7).run()
     assert outcome.error is None
     with Recording.open(tmp_path / "s") as recording:
-        known, told = clocks(recording), facts(recording)["clocks"]
+        known, reported = clocks(recording), facts(recording)["clocks"]
         jumps = [entry for entry in recording.log if entry["kind"] == "device clock jumped"]
         lasted = max(stream.duration_s for stream in recording.streams.values())
-    assert known == told and set(known) == {"left", "right"}
+    assert known == reported and set(known) == {"left", "right"}
     assert all(clock["settling"] and clock["uncertainty_s"] > 0 for clock in known.values())
     assert known["left"]["jumps"] == 0 < known["right"]["jumps"]
     assert jumps and all(entry["node"] == "right" and abs(entry["jump_s"] - 3600) < 60 for entry in jumps)

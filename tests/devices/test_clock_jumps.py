@@ -44,7 +44,7 @@ def test_a_jump_is_a_restart_and_no_stamp_leaves_the_truth(
     true = BEGAN + np.round(index / RATE * NS).astype(np.int64)
     error = np.abs(feed.time("out") - true) / NS
     assert error.max() < 0.010, error.argmax()
-    jumps = [facts for kind, facts in feed.told if kind == "device clock jumped"]
+    jumps = [facts for kind, facts in feed.reports if kind == "device clock jumped"]
     assert [facts["jump_s"] for facts in jumps] == pytest.approx([jump_s] * 3, abs=0.005)
     gaps = feed.lost("out")
     assert list(gaps.values()) == [-1] * 3 and len(index) > 20 * RATE - 20
@@ -73,8 +73,8 @@ def test_the_same_holds_of_frames_and_of_ticks(jump_s: float, monkeypatch: pytes
         steps = np.diff(feed.time(output)) / NS
         assert steps.max() < 4 / rate + 0.004 and len(steps) > 20 * rate - 20
         assert list(feed.lost(output).values()) == [-1] * 3
-        told = [facts["jump_s"] for kind, facts in feed.told if kind == "device clock jumped"]
-        assert told == pytest.approx([jump_s] * 3, abs=0.01)
+        lines = [facts["jump_s"] for kind, facts in feed.reports if kind == "device clock jumped"]
+        assert lines == pytest.approx([jump_s] * 3, abs=0.01)
 
 
 def test_a_wrong_number_is_no_jump(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,7 +83,7 @@ def test_a_wrong_number_is_no_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     wrong = FaultInjection(corrupt=0.01, from_s=1.0)
     feed = played(source, Indexed(rate_hz=RATE).brain(), 30.0, monkeypatch, wrong)
     never_after_arrival(feed)
-    assert not [kind for kind, _ in feed.told]
+    assert not [kind for kind, _ in feed.reports]
     index, number = feed.data("out").T
     sound = index == number
     error = np.abs(feed.time("out") - BEGAN - index / RATE * NS)[sound] / NS
@@ -94,7 +94,7 @@ def test_over_a_pseudo_terminal() -> None:
     with Indexed(rate_hz=200).serving(FaultInjection(jump_every_s=1.5, jump_s=3600.0)) as port:
         source = AsciiLines(port, ("index", "t", "n"), time="t", time_bits=0, rate_hz=200)
         with reading(source) as feed:
-            wait_for(lambda: len([kind for kind, _ in feed.told if kind == "device clock jumped"]) >= 2)
+            wait_for(lambda: len([kind for kind, _ in feed.reports if kind == "device clock jumped"]) >= 2)
     check(source, feed)
     timing = feed.data("timing")
     assert (timing["stamp"] <= timing["arrival"]).all()

@@ -311,7 +311,7 @@ def test_settings_that_the_board_does_not_confirm_are_refused(monkeypatch: pytes
 
 
 @pytest.mark.parametrize(
-    ("words", "source", "told"),
+    ("words", "source", "message"),
     [
         ({"v": b"Failure: Communications timeout - Device failed to poll Host$$$"}, {}, "is the board on"),
         ({"v": b"hello from something else\r\n$$$"}, {}, "names OpenBCI"),
@@ -321,12 +321,12 @@ def test_settings_that_the_board_does_not_confirm_are_refused(monkeypatch: pytes
     ],
 )
 def test_a_wrong_answer_is_told(
-    words: dict[str, bytes], source: dict[str, bool], told: str, monkeypatch: pytest.MonkeyPatch
+    words: dict[str, bytes], source: dict[str, bool], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("kinegraph.devices.cyton.source.ANSWER_S", 0.4)
     with served(Answers(words)) as server, reading(Cyton(server.address, **source)) as feed:
         wait_for(lambda: feed.error is not None)
-    assert isinstance(feed.error, DeviceError) and told in str(feed.error)
+    assert isinstance(feed.error, DeviceError) and message in str(feed.error)
 
 
 def test_no_port_at_all() -> None:
@@ -335,7 +335,7 @@ def test_no_port_at_all() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"port": "x", "channels": ["a", "b"]}, "8 different names"),
         ({"port": "x", "settings": [{"channel": 9}]}, "channels 1 to 8"),
@@ -345,8 +345,8 @@ def test_no_port_at_all() -> None:
         ({}, "port is missing"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_is_refused(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         build(Cyton, given).specs()
 
 

@@ -30,8 +30,8 @@ def measured(
     *, kohm: tuple[float, ...], of: tuple[ChannelSetting, ...], daisy: bool = False, wrong: FaultInjection = GOOD
 ) -> list[tuple[str, str, float]]:
     with SimulatedCyton(daisy=daisy, impedances_kohm=kohm).serving(wrong) as port:
-        told = Cyton(port, daisy=daisy, settings=of).impedances(LoneFeed())
-        return [(each.channel, each.pole, each.ohm / 1000) for each in told]
+        reported = Cyton(port, daisy=daisy, settings=of).impedances(LoneFeed())
+        return [(each.channel, each.pole, each.ohm / 1000) for each in reported]
 
 
 def test_the_command_and_its_answers_are_those_of_the_documentation() -> None:
@@ -76,9 +76,9 @@ def test_a_daisys_averages_are_allowed_for() -> None:
 
 def test_a_board_that_falls_silent_is_named_not_waited_for() -> None:
     with SimulatedCyton().serving(FaultInjection(stall_every_s=1.0, stall_s=60.0)) as port:
-        told = Cyton(port, settings=settings({1}, set())).impedances(LoneFeed())
+        reported = Cyton(port, settings=settings({1}, set())).impedances(LoneFeed())
         with pytest.raises(DeviceError, match=r"while impedance was measured|no answer"):
-            list(told)
+            list(reported)
 
 
 def test_the_verdict_names_the_impedance_and_leaves_worse_faults_their_names() -> None:
@@ -110,8 +110,8 @@ def test_the_check_shows_impedances_before_rest_and_contraction(kinegraph: Comma
     with SimulatedCyton(impedances_kohm=(8.0, 9.0, 12.0, 900.0)).serving() as port:
         Path("g.yaml").write_text(graph % (port, f"{pairs}, {rest}"))
         times = ("--rest", "0-2", "--contraction", "2-5", "--emg", "muscles")
-        code, shown, said = kinegraph("emg", "check-electrodes", "g.yaml", *times)
-        assert code == 1 and "keep still" in said and "SO impedance" in said, (shown, said)
+        code, shown, output = kinegraph("emg", "check-electrodes", "g.yaml", *times)
+        assert code == 1 and "keep still" in output and "SO impedance" in output, (shown, output)
         assert "impedance (kOhm)" in shown and "8/9" in shown and "12/90" in shown
-        code, shown, said = kinegraph("emg", "check-electrodes", "g.yaml", *times, "--no-impedance")
-        assert code == 0 and "impedance" not in shown + said, (shown, said)
+        code, shown, output = kinegraph("emg", "check-electrodes", "g.yaml", *times, "--no-impedance")
+        assert code == 0 and "impedance" not in shown + output, (shown, output)

@@ -89,10 +89,10 @@ def test_an_address_that_is_none(address: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "told"), [({"start": ["01"]}, "start"), ({"framing": "cobs"}, "each datagram is a frame")]
+    ("more", "message"), [({"start": ["01"]}, "start"), ({"framing": "cobs"}, "each datagram is a frame")]
 )
-def test_what_has_no_meaning_for_datagrams_is_refused(more: dict[str, Any], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_has_no_meaning_for_datagrams_is_refused(more: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         phone(**more).specs()
 
 

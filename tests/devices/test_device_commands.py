@@ -95,12 +95,12 @@ def test_sources_become_a_graph() -> None:
     text, name = written(["a.b.MyBoard", "port=/dev/x", "rate_hz=5", "a.b.MyBoard", "leg:c.D", "names=[l, r]"])
     assert name == "my_board-my_board2-leg"
     assert "my_board: {port: /dev/x, rate_hz: 5, use: a.b.MyBoard}" in text and "names: [l, r]" in text
-    for wrong, told in (
+    for wrong, reported in (
         (["port=x"], "before any source"),
         (["x:a.B", "x:a.C"], "two sources"),
         (["a.B", "k=[1"], "k="),
     ):
-        with pytest.raises(KinegraphError, match=told):
+        with pytest.raises(KinegraphError, match=reported):
             written(wrong)
 
 
@@ -161,7 +161,7 @@ def test_images_are_kept_only_if_it_is_said_in_as_many_words(store: bool, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told", "code"),
+    ("arguments", "message", "code"),
     [
         (["devices.cyton.Cyten"], "did you mean 'Cyton'", 2),
         (["devices.cyton.Cyton"], "port is missing", 2),
@@ -175,6 +175,6 @@ def test_images_are_kept_only_if_it_is_said_in_as_many_words(store: bool, tmp_pa
         ),
     ],
 )
-def test_what_is_wrong_is_told(arguments: list[str], told: str, code: int, tmp_path: Path) -> None:
+def test_what_is_wrong_is_told(arguments: list[str], message: str, code: int, tmp_path: Path) -> None:
     done = kinegraph("record", *arguments, "-o", str(tmp_path / "s"), "--view", "none")
-    assert done.returncode == code and told in done.stderr, done.stderr
+    assert done.returncode == code and message in done.stderr, done.stderr

@@ -38,9 +38,9 @@ class Liar:
 
     def say(self, seconds: float) -> list[bytes]:
         due = int(seconds * RATE)
-        said = [self._line(i) for i in range(self._said, due)]
+        rows = [self._line(i) for i in range(self._said, due)]
         self._said = max(self._said, due)
-        return said
+        return rows
 
 
 def lines(
@@ -76,12 +76,12 @@ def test_the_same_of_frames(monkeypatch: pytest.MonkeyPatch) -> None:
         "A5 5A", (Field("u8", role="counter"), Field("i16", name="a")), name="x", rate_hz=RATE, checksum="sum8"
     )
 
-    def said(i: int) -> bytes:
+    def reported(i: int) -> bytes:
         body = b"\xa5\x5a" + bytes([(255 - i) % 256, i % 256, i // 256 % 128])
         return body + bytes([sum(body) % 256])
 
     with pytest.raises(RunError, match="counts down"):
-        played(Binary("a", (frame,)), Liar(said), 12.0, monkeypatch)
+        played(Binary("a", (frame,)), Liar(reported), 12.0, monkeypatch)
 
 
 @pytest.mark.parametrize(
@@ -113,11 +113,11 @@ def test_a_counter_that_counts_is_left_alone(wrong: FaultInjection, time: str, m
 def test_a_counter_that_starts_again_early_is_named_and_can_be_declared(monkeypatch: pytest.MonkeyPatch) -> None:
     source = AsciiLines("a", COLUMNS, counter="n", counter_bits=8, rate_hz=RATE)
     feed = played(source, lines(number=lambda i: i % 200), 15.0, monkeypatch)
-    (told,) = [facts["text"] for kind, facts in feed.told if kind == "counter mismatch"]
-    assert "goes from 199 to 0" in str(told) and "set counter_wraps to 200" in str(told)
+    (texts,) = [facts["text"] for kind, facts in feed.reports if kind == "counter mismatch"]
+    assert "goes from 199 to 0" in str(texts) and "set counter_wraps to 200" in str(texts)
     mended = AsciiLines("a", COLUMNS, counter="n", counter_wraps=200, rate_hz=RATE)
     feed = played(mended, lines(number=lambda i: i % 200), 15.0, monkeypatch, FaultInjection(lose=0.01))
-    assert not feed.told and -1 not in feed.lost("out").values()
+    assert not feed.reports and -1 not in feed.lost("out").values()
     missing = np.diff(feed.data("out")[:, 0]) - 1
     assert sum(feed.lost("out").values()) == missing.sum() > 0
 
@@ -143,7 +143,7 @@ def test_a_time_that_stops_in_the_first_seconds_is_named_as_what_it_is(
     source = AsciiLines("the port", COLUMNS, time="t", counter=counter, rate_hz=RATE, rate_mismatch="warn")
     feed = played(source, lines(lambda s: f"{min(s, stops_s) * 1e6:.0f}"), 20.0, monkeypatch)
     index, error = feed.data("out")[:, 0], errors_s(feed)
-    assert sorted(kind for kind, _ in feed.told) == ["device clock jumped", "rate mismatch"]
+    assert sorted(kind for kind, _ in feed.reports) == ["device clock jumped", "rate mismatch"]
     (gap,) = feed.lost("out")
     assert np.abs(error[(index < stops_s * RATE) | (np.arange(len(index)) >= gap)]).max() < 0.015
     assert feed.problems["time stands still"] == 1 and not feed.problems["lost line"]
@@ -165,7 +165,7 @@ def test_a_time_that_stops_later_is_a_marked_gap_and_no_stamp_stays_wrong(
     gap = next(at for at, lost in feed.lost("out").items() if lost < 0)
     assert 20.0 < index[gap] / RATE < 20.6
     assert np.abs(error[(index <= 20 * RATE) | (np.arange(len(index)) >= gap)]).max() < 0.015, "by each arrival alone"
-    assert next(kind for kind, _ in feed.told) == "device clock jumped"
+    assert next(kind for kind, _ in feed.reports) == "device clock jumped"
 
 
 @pytest.mark.parametrize("bits", [16, 18])
@@ -208,15 +208,15 @@ def test_checksums_of_which_only_chance_makes_some_right_end_the_session(
     )
     rng = np.random.default_rng(2)
 
-    def said(i: int) -> bytes:
+    def reported(i: int) -> bytes:
         body = b"\xa5\x5a" + bytes([i % 256]) + rng.bytes(4)
         right = np.bitwise_xor.reduce(np.frombuffer(body, np.uint8))
         return body + bytes([sum(body) % 256 if rng.random() < share else int(right)])
 
     source = Binary("the port", (frame,))
     if share < 1:
-        feed = played(source, Liar(said), 12.0, monkeypatch)
+        feed = played(source, Liar(reported), 12.0, monkeypatch)
         assert feed.count("x") > 1000 and feed.problems["bad checksum"] > 1000
         return
     with pytest.raises(RunError, match=r"frames .* have a right checksum, which is chance; .*sum8"):
-        played(source, Liar(said), 12.0, monkeypatch)
+        played(source, Liar(reported), 12.0, monkeypatch)

@@ -229,8 +229,8 @@ def test_all_devices_misbehave_at_once_and_the_rest_goes_on(tmp_path: Path) -> N
 
 
 def test_the_command_names_every_fault() -> None:
-    told = simulate.__doc__ or ""
-    assert [name for name in FaultInjection.__dataclass_fields__ if f"{name}=" not in told] == []
+    reported = simulate.__doc__ or ""
+    assert [name for name in FaultInjection.__dataclass_fields__ if f"{name}=" not in reported] == []
 
 
 def test_a_cable_that_is_out_can_be_pulled_once_more() -> None:

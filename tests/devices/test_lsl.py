@@ -228,7 +228,7 @@ def test_silent_markers_are_waited_for_as_long_as_their_outlet_answers(name: str
 
 
 @pytest.mark.parametrize(
-    ("declared", "told"),
+    ("declared", "message"),
     [
         ({"channels": ("TA", "GM", "SO", "BF")}, "its channels are TA, GM, SO, RF; declared are TA, GM, SO, BF"),
         ({"channels": 5}, "it has 4 channels, declared are 5"),
@@ -239,11 +239,11 @@ def test_silent_markers_are_waited_for_as_long_as_their_outlet_answers(name: str
         ({"channels": 1, "unit": "mV", "rate_hz": 20.0}, "it has 4 channels, declared are 1; its rate is 1000 Hz"),
     ],
 )
-def test_a_stream_that_is_not_what_was_declared_is_refused(name: str, declared: dict[str, Any], told: str) -> None:
+def test_a_stream_that_is_not_what_was_declared_is_refused(name: str, declared: dict[str, Any], message: str) -> None:
     name = name.replace("[", "(")
     with running(replace(SENDER, source_id=name)), reading(replace(EMG, source_id=name, **declared)) as feed:
         wait_for(lambda: feed.error is not None)
-    with pytest.raises(DeviceError, match=told):
+    with pytest.raises(DeviceError, match=message):
         raise feed.error or AssertionError
     assert not feed.chunks
 
@@ -291,7 +291,7 @@ def test_probing_what_is_not_there_is_told_when_the_graph_is_loaded(name: str) -
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("parameters", "message"),
     [
         ({}, "name"),
         ({"name": "x"}, "channels"),
@@ -301,9 +301,9 @@ def test_probing_what_is_not_there_is_told_when_the_graph_is_loaded(name: str) -
         ({"name": "x", "channels": 3, "network": {"scope": "house"}}, "network"),
     ],
 )
-def test_wrong_parameters_are_told_before_anything_is_looked_for(parameters: dict[str, Any], told: str) -> None:
+def test_wrong_parameters_are_told_before_anything_is_looked_for(parameters: dict[str, Any], message: str) -> None:
     node = json.dumps({"use": "devices.lsl.LslInlet", **parameters})
-    with pytest.raises(GraphError, match=told):
+    with pytest.raises(GraphError, match=message):
         load_text(f"nodes:\n  emg: {node}", path="graph.yaml")
 
 

@@ -144,19 +144,19 @@ def test_other_measurements_between_are_passed_over_and_not_lost() -> None:
 
     class WithFixes(MtiModel):
         def packets(self, first: int, stop: int) -> list[bytes]:
-            said = []
+            rows = []
             for i, packet in enumerate(super().packets(first, stop), first):
                 data = bytearray(packet[4:-1])
                 data[3:5] = ((i + i // 10) % 65536).to_bytes(2, "big")
-                said.append(xbus.message(xbus.MEASUREMENT, bytes(data)))
+                rows.append(xbus.message(xbus.MEASUREMENT, bytes(data)))
                 if i % 10 == 9:
                     parts = [
                         xbus.item(0x7010, bytes(94)),
                         xbus.item(xbus.SAMPLE_TIME_FINE, (100 * i - 600).to_bytes(4, "big", signed=True)),
                         xbus.item(xbus.PACKET_COUNTER, ((i + i // 10 + 1) % 65536).to_bytes(2, "big")),
                     ]
-                    said.append(xbus.message(xbus.MEASUREMENT, b"".join(parts)))
-            return said
+                    rows.append(xbus.message(xbus.MEASUREMENT, b"".join(parts)))
+            return rows
 
     brain = WithFixes(seed=2)
     with served(brain) as server:
@@ -201,7 +201,7 @@ class Answers(MtiModel):
 
 
 @pytest.mark.parametrize(
-    ("words", "given", "told"),
+    ("words", "given", "message"),
     [
         ({xbus.GO_TO_CONFIG: b"$GPGGA,hello\r\n"}, {}, "expected FA FF 31 after message 30"),
         ({xbus.GO_TO_CONFIG: b""}, {}, "is it an MTi, in Xbus mode, and `baud` as set in it"),
@@ -215,14 +215,14 @@ class Answers(MtiModel):
     ],
 )
 def test_a_wrong_answer_is_told(
-    words: dict[int, bytes], given: dict[str, object], told: str, monkeypatch: pytest.MonkeyPatch
+    words: dict[int, bytes], given: dict[str, object], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("kinegraph.devices.mti.xbus_commands.ANSWER_S", 0.3)
     brain = Answers(words)
     brain._measuring = False
     with served(brain) as server:
         _, feed = read(server, 1, **given)
-    assert isinstance(feed.error, DeviceError) and told in str(feed.error)
+    assert isinstance(feed.error, DeviceError) and message in str(feed.error)
 
 
 def test_a_sensor_that_falls_silent_or_was_switched_on_again_is_opened_again() -> None:
@@ -234,14 +234,14 @@ def test_a_sensor_that_falls_silent_or_was_switched_on_again_is_opened_again() -
         def packets(self, first: int, stop: int) -> list[bytes]:
             return [*super().packets(first, stop), *([xbus.message(xbus.WAKE_UP)] if stop > 50 else [])]
 
-    for brain, told in ((Silent(), "no measurement"), (SwitchedOn(), "restarted")):
+    for brain, reported in ((Silent(), "no measurement"), (SwitchedOn(), "restarted")):
         with served(brain) as server:
             _, feed = read(server, 10**9)
-        assert isinstance(feed.error, DeviceError) and told in str(feed.error)
+        assert isinstance(feed.error, DeviceError) and reported in str(feed.error)
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"port": "x", "measure": []}, "each once"),
         ({"port": "x", "measure": ["speed"]}, "measure"),
@@ -251,8 +251,8 @@ def test_a_sensor_that_falls_silent_or_was_switched_on_again_is_opened_again() -
         ({}, "port is missing"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_is_refused(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         build(Mti, given).specs()
     assert build(Mti, {"port": "usb://2639", "rate_hz": 400}).specs()
 

@@ -118,9 +118,9 @@ def test_stamps_never_run_backwards_and_are_never_absurd() -> None:
 
 def test_a_frozen_picture_and_one_without_depth_are_counted() -> None:
     frames = Frames(SPEC, NOW)
-    told = [frames.take(message(i, value), NOW + i * 33_000_000).problems for i, value in enumerate([1, 1, 2])]
+    rows = [frames.take(message(i, value), NOW + i * 33_000_000).problems for i, value in enumerate([1, 1, 2])]
     blind = message(3)._replace(rows=np.zeros((4, 16), np.uint8))
-    assert [*told, frames.take(blind, NOW + 99_000_000).problems] == [[], ["frozen frame"], [], ["frame without depth"]]
+    assert [*rows, frames.take(blind, NOW + 99_000_000).problems] == [[], ["frozen frame"], [], ["frame without depth"]]
 
 
 def test_inertial_packets() -> None:

@@ -69,11 +69,11 @@ def config(*heads: Any) -> dict[str, Any]:
     }
 
 
-def archive(folder: Path, said: Any, name: str = "config.json") -> str:
+def archive(folder: Path, reported: Any, name: str = "config.json") -> str:
     path = folder / "pose.tar.xz"
     with tarfile.open(path, "w:xz") as tar:
         for entry, data in (
-            (name, said if isinstance(said, bytes) else json.dumps(said).encode()),
+            (name, reported if isinstance(reported, bytes) else json.dumps(reported).encode()),
             ("pose.onnx", b"made up"),
         ):
             about = tarfile.TarInfo(entry)
@@ -90,7 +90,7 @@ def test_an_archive_of_a_pose_network_is_taken(points: int, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("said", "name", "why"),
+    ("expected", "name", "why"),
     [
         (config(HEAD), "settings.json", "config.json in it; this archive has none"),
         (b"{broken", "config.json", "this one is not JSON"),
@@ -106,8 +106,8 @@ def test_an_archive_of_a_pose_network_is_taken(points: int, tmp_path: Path) -> N
         (config("YOLO"), "config.json", "YOLO with no key points"),
     ],
 )
-def test_another_archive_is_refused_with_what_to_do(said: Any, name: str, why: str, tmp_path: Path) -> None:
-    path = archive(tmp_path, said, name)
+def test_another_archive_is_refused_with_what_to_do(expected: Any, name: str, why: str, tmp_path: Path) -> None:
+    path = archive(tmp_path, expected, name)
     with pytest.raises(ParameterError, match=why) as refused:
         pose_archive(path)
     assert path in str(refused.value)
@@ -132,9 +132,9 @@ def test_the_source_says_what_is_wrong_before_it_opens_anything(tmp_path: Path) 
     assert source.outputs == ("depth", "markers", "confidence", "timing") and set(source.specs()) == set(source.outputs)
     with pytest.raises(ParameterError, match="no such file"):
         source.prepare()
-    said = {"nodes": {"eye": {"use": "devices.oak.Oak", "network": source.network}}, "record": ["eye.markers"]}
+    facts = {"nodes": {"eye": {"use": "devices.oak.Oak", "network": source.network}}, "record": ["eye.markers"]}
     with pytest.raises(GraphError, match=r"node 'eye': network is .*no such file"):
-        warm_up(Pipeline(load_text(json.dumps(said))))
+        warm_up(Pipeline(load_text(json.dumps(facts))))
     for other in (Oak(network="x", image="mono"), Oak(network="x", depth="tof", height=480)):
         with pytest.raises(ParameterError, match="network is 'x'"):
             other.specs()

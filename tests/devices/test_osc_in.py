@@ -110,14 +110,14 @@ def test_it_runs_without_its_sender(kinegraph: Command, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"name": "timing"}, "not 'timing'"), ({"address": "imu"}, "begins with a slash"), ({"arguments": [{}]}, "at least one named"),
         ({"arguments": [{"name": "x"}, {"role": "time", "unit": "days"}]}, "a unit out of"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused(change: dict[str, Any], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         inlet(streams=[STREAM | change]).specs()
 
 

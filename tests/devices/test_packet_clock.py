@@ -99,16 +99,16 @@ def test_jitter_of_twenty_milliseconds_and_a_drift_of_fifty_ppm() -> None:
 def test_the_clocks_state_is_in_the_metrics_from_the_first_second_and_in_the_log_once_a_minute(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    now, told, feed = [0.0], [], Kept()
+    now, rows, feed = [0.0], [], Kept()
     monkeypatch.setattr("kinegraph.devices.clocks.clock_log.time.monotonic", lambda: now[0])
     monkeypatch.setattr(
-        "kinegraph.devices.clocks.clock_log.log.info", lambda *_, **facts: told.append(facts), raising=False
+        "kinegraph.devices.clocks.clock_log.log.info", lambda *_, **facts: rows.append(facts), raising=False
     )
     states: list[ClockState | None] = [None] + [ClockState(1.5, float(n), 0.001, n) for n in (2, 9, 10, 61, 62)]
     clock_log = ClockLog("board", feed, lambda: states.pop(0))
     for now[0] in (0.5, 1.1, 2.2, 2.3, 9.0, 10.5, 61.0, 61.5, 123.0):
         clock_log.tell()
-    assert [facts["drift_ppm"] for facts in told] == [61.0, 62.0]
+    assert [facts["drift_ppm"] for facts in rows] == [61.0, 62.0]
     assert [(facts["seconds"], facts["settling"]) for facts in feed.clocks] == [
         (2, True), (9, True), (10, False), (61, False), (62, False),
     ]  # fmt: skip

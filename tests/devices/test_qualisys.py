@@ -73,7 +73,7 @@ def test_a_server() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"markers": ("nee",)}, "QTM streams no marker 'nee'"),
         ({"rate_hz": 50.0}, "write rate_hz: 100"),
@@ -84,7 +84,7 @@ def test_a_server() -> None:
         ({"analog_unit": "mV"}, "gives V, not mV"),
     ],
 )
-def test_what_qtm_does_not_have_is_told(change: dict[str, object], told: str) -> None:
+def test_what_qtm_does_not_have_is_told(change: dict[str, object], message: str) -> None:
     with QualisysServer() as server, reading(replace(SOURCE, port=server.port, **change)) as feed:  # type: ignore[arg-type]
         wait_for(lambda: feed.error is not None)
-    assert told in str(feed.error)
+    assert message in str(feed.error)

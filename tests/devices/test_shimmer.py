@@ -123,8 +123,8 @@ def test_lost_and_repeated_packets(lost: list[int], twice: list[int]) -> None:
     sent = b"".join(PACKETS[i] * (1 + (i in twice)) for i in kept)
     found, dropped, resyncs, repeated = decoded([sent])
     alone = {i for i in kept if i - 1 not in kept and i + 1 not in kept}
-    told = [row for row in (WANTED[i] for i in kept) if row not in found]
-    assert all(WANTED.index(row) in alone or len(kept) < 6 or WANTED.index(row) in kept[:3] for row in told)
+    rows = [row for row in (WANTED[i] for i in kept) if row not in found]
+    assert all(WANTED.index(row) in alone or len(kept) < 6 or WANTED.index(row) in kept[:3] for row in rows)
     if not lost and min(twice, default=9) > 2:
         assert (dropped, resyncs) == (0, 0) and repeated <= len(set(twice))
 
@@ -289,7 +289,7 @@ def test_unplugged_in_mid_packet() -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "answer", "told"),
+    ("code", "answer", "message"),
     [
         (0x2E, b"", "expected 2F after command 2E .*came nothing"),
         (0x2E, b"\xff\x2f\x02\x00\x00\x00\x10\x00", "expected the firmware LogAndStream"),
@@ -297,7 +297,7 @@ def test_unplugged_in_mid_packet() -> None:
         (0x01, b"\xff\x02\x40\x00\x08\x00\x01\x00\x02\x01\x00\x03", "offers 0x03, ax every 64"),
     ],
 )
-def test_a_wrong_device_is_told(code: int, answer: bytes, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_device_is_told(code: int, answer: bytes, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     class Other(ShimmerModel):
         def _obey(self, command: int, data: bytes) -> bytes:
             return answer if command == code else super()._obey(command, data)
@@ -306,12 +306,12 @@ def test_a_wrong_device_is_told(code: int, answer: bytes, told: str, monkeypatch
         monkeypatch.setattr("kinegraph.devices.shimmer.commands.ANSWER_S", 0.1)
     feed = read(Other(), 1)
     assert isinstance(feed.error, DeviceError)
-    with pytest.raises(DeviceError, match=told):
+    with pytest.raises(DeviceError, match=message):
         raise feed.error
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"sensors": []}, "some of acceleration"),
         ({"sensors": ["emg", "ecg"]}, "one of emg, ecg"),
@@ -319,8 +319,8 @@ def test_a_wrong_device_is_told(code: int, answer: bytes, told: str, monkeypatch
         ({"rate_hz": 2000}, "rate_hz"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_is_refused(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         build(Shimmer, {"port": "x", **given}).specs()
 
 

@@ -35,17 +35,17 @@ class Ticking:
     """A device that says a packet of its own number every 2 ms."""
 
     def __init__(self) -> None:
-        self.said = 0
+        self.sent = 0
 
     def receive(self, data: bytes) -> bytes:
         return data.upper()
 
     def say(self, seconds: float) -> list[bytes]:
-        first, self.said = self.said, int(seconds * 500)
-        return [f"<{i:06d}>".encode() for i in range(first, self.said)]
+        first, self.sent = self.sent, int(seconds * 500)
+        return [f"<{i:06d}>".encode() for i in range(first, self.sent)]
 
     def restart(self) -> None:
-        self.said = 0
+        self.sent = 0
 
 
 @pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
@@ -165,7 +165,7 @@ def _when_there(server: Server) -> Cyton:
 def test_nobody_reading_does_not_hold_a_device_up() -> None:
     brain = Ticking()
     with Server(brain, PseudoTerminal()):
-        wait_for(lambda: brain.said > 300)
+        wait_for(lambda: brain.sent > 300)
     line = TcpLine()
     line.write(b"to nobody")
     line.close()
@@ -215,7 +215,7 @@ def test_the_command_prints_an_address_that_can_be_opened() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["cyten"], "did you mean 'cyton'"),
         (["cyton", "loose=1"], "did you mean 'lose'"),
@@ -227,9 +227,9 @@ def test_the_command_prints_an_address_that_can_be_opened() -> None:
         (["lines", "columns=[emg]", "reset_every_s=5"], "neither a time nor a counter"),
     ],
 )
-def test_the_command_tells_what_is_wrong(arguments: list[str], told: str) -> None:
+def test_the_command_tells_what_is_wrong(arguments: list[str], message: str) -> None:
     done = kinegraph("dev", "simulate", *arguments)
-    assert done.returncode in (2, 3) and told in done.stderr
+    assert done.returncode in (2, 3) and message in done.stderr
 
 
 def test_the_command_lists_what_there_is() -> None:

@@ -182,8 +182,8 @@ def test_an_old_server_that_knows_few_commands_will_do(monkeypatch: pytest.Monke
     assert feed.error is None and set(feed.identity) == {"device", "port", "server"}
 
 
-@pytest.mark.parametrize(("greeting", "told"), [(b"SSH-2.0\r\n\r\n", "53 53 48"), (b"", "came nothing")])
-def test_another_server_is_told(greeting: bytes, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("greeting", "message"), [(b"SSH-2.0\r\n\r\n", "53 53 48"), (b"", "came nothing")])
+def test_another_server_is_told(greeting: bytes, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("kinegraph.devices.trigno.source.ANSWER_S", 0.3)
     server = socket.create_server(("127.0.0.1", 0))
     with server, reading(Trigno(f"tcp://127.0.0.1:{server.getsockname()[1]}", SENSORS)) as feed:
@@ -191,7 +191,7 @@ def test_another_server_is_told(greeting: bytes, told: str, monkeypatch: pytest.
         with client:
             client.sendall(greeting)
             wait_for(lambda: feed.error is not None)
-    assert "the greeting of a Trigno server" in str(feed.error) and told in str(feed.error)
+    assert "the greeting of a Trigno server" in str(feed.error) and message in str(feed.error)
 
 
 def test_a_server_that_falls_silent_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -205,7 +205,7 @@ def test_a_server_that_falls_silent_is_opened_again(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"sensors": []}, "1 to 16 different sensors"),
         ({"sensors": [{"sensor": 1}, {"sensor": 1, "name": "x"}]}, "1 to 16 different sensors"),
@@ -213,6 +213,6 @@ def test_a_server_that_falls_silent_is_opened_again(monkeypatch: pytest.MonkeyPa
         ({"sensors": [{"sensor": 1}], "port": "/dev/ttyUSB0"}, "tcp://host:port"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_is_refused(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         build(Trigno, {"port": "tcp://x:1", **given}).specs()

@@ -148,10 +148,11 @@ def test_permission_is_told_with_the_exact_rule(own_bus: SimulatedBus) -> None:
         for address in ("usb://1209", "usb://1209:0001/T1"):
             with pytest.raises(DeviceError) as raised:
                 Pipe(address)
-            told = str(raised.value)
-            assert "/etc/udev/rules.d/70-kinegraph.rules" in told and "udevadm control --reload" in told
+            reported = str(raised.value)
+            assert "/etc/udev/rules.d/70-kinegraph.rules" in reported and "udevadm control --reload" in reported
             assert (
-                'SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="0001", MODE="0660", TAG+="uaccess"' in told
+                'SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="0001", MODE="0660", TAG+="uaccess"'
+                in reported
             )
 
 
@@ -397,12 +398,12 @@ def test_any_declaration_has_a_simulated_device() -> None:
     with source.simulated() as there, reading(there) as feed:
         wait_for(lambda: feed.error is not None or feed.count("imu") >= 100)
     assert feed.error is None and not feed.problems
-    for wrong, told in (
+    for wrong, reported in (
         ({"port": "/dev/ttyUSB0"}, "port is"),
         ({"endpoint": 1}, "endpoint is 1"),
         ({"frames": []}, "frames"),
     ):
-        with pytest.raises(ParameterError, match=told):
+        with pytest.raises(ParameterError, match=reported):
             build(Endpoint, {**given, **wrong}).specs()
 
 

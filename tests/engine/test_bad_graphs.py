@@ -91,9 +91,9 @@ def test_arguments_that_cannot_be(kinegraph: Command, made: Path, tmp_path: Path
     refused(kinegraph("run", graph, "--nope"), "No such option")
     refused(kinegraph("run", "none.yaml"), "none.yaml: the graph cannot be read: No such file")
     (tmp_path / "folder.yaml").mkdir()
-    told = kinegraph("run", "folder.yaml")
-    refused(told, "cannot be read: Is a directory")
-    assert "did you mean" not in told[2]
+    output = kinegraph("run", "folder.yaml")
+    refused(output, "cannot be read: Is a directory")
+    assert "did you mean" not in output[2]
     (tmp_path / "folder.yaml").rmdir()
     refused(kinegraph("run", "x" * 5000), "File name too long")
     for seconds in ("nan", "inf", "-1", "soon"):

@@ -68,9 +68,9 @@ class Raises(Operator[State]):
 def test_an_operator_that_raises_names_itself_and_loses_nothing(kinegraph: Command, tmp_path: Path) -> None:
     (tmp_path / "raising.py").write_text(RAISES)
     (tmp_path / "g.yaml").write_text(BOARD % 2 + "  bad: {use: raising.Raises, from: board.emg}\nrecord: [bad]\n")
-    told = kinegraph("run", "g.yaml", *QUIET, "-o", "s")
-    refused(told, "bad", "ZeroDivisionError", "division by zero", code=4)
-    assert re.search(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d", told[2]), "the sample's time is named"
+    output = kinegraph("run", "g.yaml", *QUIET, "-o", "s")
+    refused(output, "bad", "ZeroDivisionError", "division by zero", code=4)
+    assert re.search(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d", output[2]), "the sample's time is named"
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished and recording.streams["board.emg"].samples > 1000
         assert recording.streams["bad"].samples <= 1000
@@ -110,8 +110,8 @@ def test_what_an_operator_raises_elsewhere_ends_nothing_else(
     )
     (tmp_path / f"{module}.py").write_text(text)
     (tmp_path / "g.yaml").write_text(BOARD % 2 + f"  bad: {{use: {module}.Raises, from: board.emg}}\n")
-    told = kinegraph("run", "g.yaml", *QUIET, "-o", "s")
-    refused(told, "node 'bad'", error.partition("(")[0], code=2 if where == "open" else 4)
+    output = kinegraph("run", "g.yaml", *QUIET, "-o", "s")
+    refused(output, "node 'bad'", error.partition("(")[0], code=2 if where == "open" else 4)
     if where == "close":
         with Recording.open(tmp_path / "s") as recording:
             assert recording.finished and recording.streams["board.emg"].samples == 2000
@@ -156,8 +156,8 @@ def test_stamps_within_a_chunk_that_run_backwards_are_found_by_verify(kinegraph:
     )  # at its pace, so that it is recorded in several pieces, and replayed so
     (tmp_path / "g.yaml").write_text(board + "  bad: {use: inner.Raises, from: board.emg}\nrecord: [bad]\n")
     assert kinegraph("run", "g.yaml", *QUIET, "-o", "s")[0] == 0
-    code, said, _ = kinegraph("replay", "g.yaml", "s", "--verify", "-q")
-    assert code == 1 and "bad: BREAKS ITS SPEC" in said and "stamps that run backwards" in said, said
+    code, output, _ = kinegraph("replay", "g.yaml", "s", "--verify", "-q")
+    assert code == 1 and "bad: BREAKS ITS SPEC" in output and "stamps that run backwards" in output, output
 
 
 def test_two_sessions_on_one_output(kinegraph: Command, made: Path, tmp_path: Path) -> None:
@@ -177,8 +177,8 @@ def test_two_sessions_on_one_output(kinegraph: Command, made: Path, tmp_path: Pa
         (tmp_path / "g.yaml").write_text("garbage: [")
     finally:
         first.send_signal(signal.SIGTERM)
-        said = first.communicate(timeout=60)[1]
-    assert first.returncode == 0, said
+        reported = first.communicate(timeout=60)[1]
+    assert first.returncode == 0, reported
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished and recording.header["graph"] == text, "the graph as it ran, not as it was edited"
 
@@ -197,14 +197,14 @@ def test_sigterm_ends_a_session_in_every_phase(moment: str, tmp_path: Path) -> N
     else:
         wait_for(lambda: any((tmp_path / "s").glob("session.*")))
     process.terminate()
-    _, said = process.communicate(timeout=60)
-    assert "Traceback" not in said
+    _, emitted = process.communicate(timeout=60)
+    assert "Traceback" not in emitted
     if moment == "start":
         assert process.returncode in (0, 143, -signal.SIGTERM)
     elif moment == "warm-up":
-        assert process.returncode in (0, 143), said
+        assert process.returncode in (0, 143), emitted
     else:
-        assert process.returncode == 0, said
+        assert process.returncode == 0, emitted
     if process.returncode == 0 and moment != "start":
         with Recording.open(tmp_path / "s") as recording:
             assert recording.finished

@@ -72,11 +72,11 @@ def test_parts_are_the_whole(chunk: Chunk, data: st.DataObject) -> None:
     if len(chunk):
         assert next(p.lost for p in parts if len(p)) == chunk.lost
         assert sum(p.lost != 0 for p in parts) == (chunk.lost != 0)
-    told = NEVER
+    reported = NEVER
     for part in parts:
-        assert all(t > told for t in part.time), "a part holds a sample at or before what was promised complete"
-        told = max(told, part.until)
-    assert parts[-1].until == told == chunk.until
+        assert all(t > reported for t in part.time), "a part holds a sample at or before what was promised complete"
+        reported = max(reported, part.until)
+    assert parts[-1].until == reported == chunk.until
 
 
 def test_an_empty_chunk_has_the_shape_of_its_spec() -> None:

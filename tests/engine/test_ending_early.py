@@ -27,13 +27,13 @@ def test_the_first_signal_ends_a_warm_up(sent: signal.Signals, tmp_path: Path) -
     try:
         assert session.stdout is not None and "getting ready" in session.stdout.readline()
         session.send_signal(sent)
-        said, _ = session.communicate(timeout=120)
+        reported, _ = session.communicate(timeout=120)
     finally:
         session.kill()
         session.wait(30)
-    assert session.returncode == (143 if sent == signal.SIGTERM else 130), said
-    assert "session of" not in said and not (tmp_path / "run").exists(), said
-    assert "Traceback" not in said, said
+    assert session.returncode == (143 if sent == signal.SIGTERM else 130), reported
+    assert "session of" not in reported and not (tmp_path / "run").exists(), reported
+    assert "Traceback" not in reported, reported
 
 
 SLOW_LINK = """

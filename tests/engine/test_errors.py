@@ -39,11 +39,11 @@ def test_signals_end_the_program_and_faults_do_not(error: BaseException, handled
 
 
 def test_another_thread_is_never_asked() -> None:
-    told: list[bool] = []
-    thread = threading.Thread(target=lambda: told.append(asked_to_end(Interrupted())))
+    rows: list[bool] = []
+    thread = threading.Thread(target=lambda: rows.append(asked_to_end(Interrupted())))
     thread.start()
     thread.join()
-    assert told == [False]
+    assert rows == [False]
 
 
 def test_an_interruption_is_found_behind_what_a_library_made_of_it() -> None:

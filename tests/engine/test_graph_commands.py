@@ -46,10 +46,10 @@ def test_check_shows_nodes_and_paths(good: Path, capsys: pytest.CaptureFixture[s
 
 def test_check_fits_a_narrow_terminal(good: Path) -> None:
     graph = load_text(good.read_text(), path=str(good))
-    told = _narrow(graph, plan(graph), 50)
-    assert max(map(len, told.splitlines())) <= 50
-    assert all(f"\n{name}  {node.use}" in told for name, node in graph.nodes.items() if name != "annotations")
-    assert "\n  delay " in told and "; memory " in " ".join(told.split())
+    reported = _narrow(graph, plan(graph), 50)
+    assert max(map(len, reported.splitlines())) <= 50
+    assert all(f"\n{name}  {node.use}" in reported for name, node in graph.nodes.items() if name != "annotations")
+    assert "\n  delay " in reported and "; memory " in " ".join(reported.split())
 
 
 def test_check_points_at_what_nobody_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

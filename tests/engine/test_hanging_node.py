@@ -119,12 +119,12 @@ def started(folder: Path, node: str, options: str, look_s: float = 0.3, stuck_s:
 def said_until(process: subprocess.Popen[str], words: str) -> str:
     """What it said up to the line that holds these words."""
     assert process.stderr
-    said = ""
+    text = ""
     for line in process.stderr:
-        said += line
+        text += line
         if words in line:
-            return said
-    raise AssertionError(f"it ended with {process.wait()}, and said {said}")
+            return text
+    raise AssertionError(f"it ended with {process.wait()}, and said {text}")
 
 
 @pytest.mark.parametrize(
@@ -141,13 +141,13 @@ def test_a_node_that_does_not_come_back_is_named_and_left(node: str, options: st
     goes_on = (
         node == "Out" or "worker" in options
     )  # the rest of the graph does, so that nothing is wrong until it shall end
-    said = "" if goes_on else said_until(process, "node hangs")
+    text = "" if goes_on else said_until(process, "node hangs")
     process.send_signal(signal.SIGINT)
-    said += said_until(process, "node hangs") if not said else ""
-    assert "node=stuck" in said and "Ctrl-C" in said
+    text += said_until(process, "node hangs") if not text else ""
+    assert "node=stuck" in text and "Ctrl-C" in text
     process.send_signal(signal.SIGTERM)
     ended = process.communicate(timeout=60)[1]
-    assert process.returncode == 4, said + ended
+    assert process.returncode == 4, text + ended
     assert "node 'stuck': did not come back for" in ended and "at sample time" in ended
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished and recording.streams["board.emg"].samples > 500
@@ -174,8 +174,8 @@ def test_a_second_signal_breaks_off_what_takes_long_and_closes_the_recording(tmp
     process.send_signal(signal.SIGINT)
     wait_for((tmp_path / "closing").exists)
     process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=60)[1]
-    assert process.returncode == 130, said
+    emitted = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, emitted
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished
 
@@ -185,9 +185,9 @@ def test_where_nothing_else_can_run_a_quit_tells_where_it_is_stuck(tmp_path: Pat
     wait_for((tmp_path / "there").exists)
     process.send_signal(signal.SIGTERM)
     process.send_signal(signal.SIGQUIT)
-    said = process.communicate(timeout=60)[1]
+    emitted = process.communicate(timeout=60)[1]
     assert process.returncode == -signal.SIGQUIT
-    assert 'stuck.py", line' in said and "in alone" in said, said
+    assert 'stuck.py", line' in emitted and "in alone" in emitted, emitted
     with Recording.open(tmp_path / "s") as recording:
         assert not recording.finished and recording.streams["board.emg"].samples > 0
 
@@ -208,8 +208,8 @@ def test_signals_break_off_a_replay(how: str, made: Path, tmp_path: Path) -> Non
     process = subprocess.Popen(command, cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE)
     wait_for((tmp_path / "closing").exists)
     process.send_signal(signal.SIGTERM)
-    said = process.communicate(timeout=60)[1]
-    assert process.returncode == 143 and said == b"kinegraph: stopped\n", said
+    emitted = process.communicate(timeout=60)[1]
+    assert process.returncode == 143 and emitted == b"kinegraph: stopped\n", emitted
 
 
 COMPILING = """
@@ -246,8 +246,8 @@ def test_a_signal_while_kernels_compile_ends_at_once_and_blames_nobody(number: i
     try:
         wait_for(lambda: (tmp_path / "compiling").exists())
         process.send_signal(number)
-        _, told = process.communicate(timeout=30)
+        _, emitted = process.communicate(timeout=30)
     finally:
         process.kill()
-    assert process.returncode == code and "stopped" in told and "slow" not in told, told
+    assert process.returncode == code and "stopped" in emitted and "slow" not in emitted, emitted
     assert not (tmp_path / "s").exists()

@@ -375,7 +375,9 @@ def test_a_stream_that_has_gone_stale_is_reported_once_until_it_comes_back() -> 
     source, node = SimpleNamespace(background=False), SimpleNamespace(options=options)
     runner: Any = SimpleNamespace(live=True, queues={"out": queue}, node=node, source=source)
     edge: Any = SimpleNamespace(readers=[1], spec=SPEC)
-    port, told = IngressPort(runner, "out", edge), list[str]()
-    made = [port.nothing_for(age, START + k, lambda what, **_: told.append(what)) for k, age in enumerate((1, 1, 3, 4))]
-    assert told == ["silent source advanced", "stream is stale"]
+    port, output = IngressPort(runner, "out", edge), list[str]()
+    made = [
+        port.nothing_for(age, START + k, lambda what, **_: output.append(what)) for k, age in enumerate((1, 1, 3, 4))
+    ]
+    assert output == ["silent source advanced", "stream is stale"]
     assert [chunk.until - START for chunk in made if chunk is not None] == [k - 500_000_000 for k in range(4)]

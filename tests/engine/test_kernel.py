@@ -175,14 +175,14 @@ def test_every_process_takes_the_same_fingerprints(tmp_path: Path) -> None:
         HOUSE / "kinegraph", tmp_path / "kinegraph", ignore=shutil.ignore_patterns("__pycache__", "web", "built")
     )
     environment = {**os.environ, "PYTHONPATH": ""}
-    told = [
+    output = [
         subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=place, env=environment
         ).stdout.splitlines()
         for place in (HOUSE, HOUSE, tmp_path)
     ]
-    assert told[0][0] == told[1][0] == told[2][0] and len(told[0][0]) > 60
-    assert str(tmp_path) in told[2][1] and told[0][1] == told[1][1] != told[2][1]
+    assert output[0][0] == output[1][0] == output[2][0] and len(output[0][0]) > 60
+    assert str(tmp_path) in output[2][1] and output[0][1] == output[1][1] != output[2][1]
 
 
 BESIDE = """

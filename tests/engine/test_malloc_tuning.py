@@ -36,8 +36,8 @@ print((full - before) >> 20, (kept - before) >> 20, (taken() - before) >> 20)
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of GNU's C library")
 def test_memory_that_was_freed_piece_by_piece_goes_back() -> None:
     """In a process of its own: one that has run tests has free pieces already."""
-    told = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True).stdout
-    full, kept, left = map(int, told.split())
+    output = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True).stdout
+    full, kept, left = map(int, output.split())
     assert full > 50 and kept > 40, "the C library keeps what lies between pieces in use"
     assert left < 15
 

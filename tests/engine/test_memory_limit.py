@@ -31,8 +31,8 @@ def test_a_container_has_what_its_limit_leaves(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_what_is_taken_is_what_the_system_says() -> None:
-    said = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS:"))
-    assert memory.taken() == pytest.approx(int(said.split()[1]) * 1024, rel=0.1)
+    reported = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS:"))
+    assert memory.taken() == pytest.approx(int(reported.split()[1]) * 1024, rel=0.1)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits of this kind are Linux's")

@@ -40,13 +40,13 @@ def _cut(draw: st.DrawFn, rows: list[tuple[int, int]]) -> list[Chunk]:
     """A `lost` begins a chunk, as chunks have it only before their first sample."""
     begins = {i for i, (_, lost) in enumerate(rows) if lost}
     cuts = sorted([*begins, *draw(st.lists(st.integers(0, len(rows)), max_size=6))])
-    chunks, told = [], NEVER
+    chunks, entries = [], NEVER
     for start, stop in zip([0, *cuts], [*cuts, len(rows)], strict=True):
         time = np.array([t for t, _ in rows[start:stop]], np.int64)
         highest = rows[stop][0] - 1 if stop < len(rows) else 15
-        told = max(told, draw(st.integers(min(time[-1] if len(time) else -1, highest), highest)))
+        entries = max(entries, draw(st.integers(min(time[-1] if len(time) else -1, highest), highest)))
         lost = rows[start][1] if stop > start else 0
-        chunks.append(Chunk(time, np.arange(start, stop, dtype=float).reshape(-1, 1), told, lost))
+        chunks.append(Chunk(time, np.arange(start, stop, dtype=float).reshape(-1, 1), entries, lost))
     return [*chunks, empty(SPEC, FOREVER)]
 
 
@@ -97,15 +97,15 @@ def test_out_of_turn_a_chunk_stays_whole() -> None:
 def test_until_is_true_of_all_ports_and_never_falls(data: st.DataObject, in_turn: bool) -> None:
     samples = data.draw(streams())
     merge = Merge(dict.fromkeys(samples, SPEC), in_turn=in_turn)
-    told = dict.fromkeys(samples, NEVER)
+    facts = dict.fromkeys(samples, NEVER)
     for port, chunk in data.draw(deliveries(samples)):
         for name, piece in merge.push(port, chunk):
-            assert all(t > max(told.values()) for t in piece.time), (
+            assert all(t > max(facts.values()) for t in piece.time), (
                 "a sample came at or before what had been promised complete"
             )
-            assert piece.until >= told[name]
-            told[name] = piece.until
-    assert set(told.values()) == {FOREVER}
+            assert piece.until >= facts[name]
+            facts[name] = piece.until
+    assert set(facts.values()) == {FOREVER}
 
 
 @given(data=st.data())

@@ -35,7 +35,7 @@ def test_a_model_comes_back(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"channels": ("x", "y", "w")}, "channels"),
         ({"units": ("mm",)}, "units"),
@@ -43,8 +43,8 @@ def test_a_model_comes_back(path: Path) -> None:
         ({"rate_hz": None}, "100 Hz"),
     ],
 )
-def test_another_stream_is_refused(path: Path, change: dict[str, object], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_another_stream_is_refused(path: Path, change: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         read_model(path, "pose").check_input("in", SPEC.derive(**change))
 
 

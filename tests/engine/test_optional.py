@@ -35,6 +35,6 @@ def test_a_package_that_does_not_load(code: str, reason: str, tmp_path: Path, mo
     """What is missing is something else: to install the package again would not help."""
     (tmp_path / "half_camera.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(KinegraphError, match="is installed but does not load") as told:
+    with pytest.raises(KinegraphError, match="is installed but does not load") as output:
         optional("half_camera", "a camera", INSTALL)
-    assert reason in str(told.value)
+    assert reason in str(output.value)

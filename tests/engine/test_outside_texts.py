@@ -92,8 +92,8 @@ def test_log_lines_are_plain(capsys: pytest.CaptureFixture[str]) -> None:
         )
     finally:
         structlog.reset_defaults()
-    told = capsys.readouterr().err
-    assert not HARMFUL.search(told) and told.count("\n") == 1 and "\\x1b" in told
+    stderr = capsys.readouterr().err
+    assert not HARMFUL.search(stderr) and stderr.count("\n") == 1 and "\\x1b" in stderr
 
 
 def test_a_panel_shows_texts_as_they_are() -> None:

@@ -179,9 +179,9 @@ def test_whatever_a_part_raises_names_its_node(
 ) -> None:
     given = dict.fromkeys(("source", "operator", "outlet"), "none") | {node: where}
     (tmp_path / "g.yaml").write_text(GRAPH.format(how=how, **given))
-    code, _, said = kinegraph("run", "g.yaml", *QUIET, "-o", "s", "--for", 2)
-    assert code in (2, 3, 4, 5, 7), said
-    assert f"node {node!r}" in said or f"node={node}" in said, said
+    code, _, output = kinegraph("run", "g.yaml", *QUIET, "-o", "s", "--for", 2)
+    assert code in (2, 3, 4, 5, 7), output
+    assert f"node {node!r}" in output or f"node={node}" in output, output
     if where not in BEFORE:
         with Recording.open(tmp_path / "s") as recording:
             assert recording.finished
@@ -196,5 +196,5 @@ def test_a_module_that_raises_as_it_is_imported_is_told(raised: str, kinegraph: 
     (tmp_path / "ending.py").write_text(f"{raised}\n")
     (tmp_path / "g.yaml").write_text("nodes:\n  own: {use: ending.Own}\n")
     for command in (("check", "g.yaml"), ("run", "g.yaml", *QUIET), ("dev", "try", "ending.Own")):
-        code, _, said = kinegraph(*command)
-        assert code == 2 and "ending could not be imported" in said, said
+        code, _, output = kinegraph(*command)
+        assert code == 2 and "ending could not be imported" in output, output

@@ -115,9 +115,9 @@ def test_a_value_that_a_setting_does_not_accept_is_refused(folder: Path) -> None
 
 
 def test_the_help_of_run_shows_the_graphs_settings(kinegraph: Command, folder: Path) -> None:
-    code, told, _ = kinegraph("run", "walk.yaml", "--help")
-    assert code == 0 and "--set NAME=VALUE" in told
-    rows = {line.split()[0]: line for line in told.partition("Settings of walk")[2].splitlines()[1:] if line.strip()}
+    code, output, _ = kinegraph("run", "walk.yaml", "--help")
+    assert code == 0 and "--set NAME=VALUE" in output
+    rows = {line.split()[0]: line for line in output.partition("Settings of walk")[2].splitlines()[1:] if line.strip()}
     assert rows.keys() == {"subject", "smoothness", "right.cutoff_hz"}, "not what an outer setting feeds"
     assert "Low-pass (a number from 1 to 60 Hz; default 30)" in rows["right.cutoff_hz"]
 
@@ -127,23 +127,23 @@ def test_a_run_with_parts_is_replayed_bit_for_bit_from_its_recording_alone(kineg
     (folder / "recorded.yaml").write_text(kinegraph("info", "session", "--graph")[1])
     for file in (folder / "parts").iterdir():
         file.unlink()
-    code, told, _ = kinegraph("replay", "recorded.yaml", "session", "--verify")
-    assert code == 0 and told.count("identical to the recording") == 3
+    code, output, _ = kinegraph("replay", "recorded.yaml", "session", "--verify")
+    assert code == 0 and output.count("identical to the recording") == 3
 
 
 @pytest.mark.parametrize("command", ["check", "draw"])
 def test_commands_show_the_nodes_of_parts(kinegraph: Command, folder: Path, command: str) -> None:
-    code, told, _ = kinegraph(command, "walk.yaml")
-    assert code == 0 and "left.smooth.low" in told and "right.envelope" in told
+    code, output, _ = kinegraph(command, "walk.yaml")
+    assert code == 0 and "left.smooth.low" in output and "right.envelope" in output
 
 
 def test_errors_name_both_files_and_lines(folder: Path) -> None:
     part = "part: {inputs: {in: x}}\nnodes:\n  low: {use: operators.filters.iir.Lowpass, from: in, cutoff_hz: 5000}\n"
-    told = wrong("  slow: {use: parts/mine.yaml, from: treadmill.emg}\n", part)
-    assert told.startswith("parts/mine.yaml:3: node 'slow.low': cutoff_hz is 5000") and "bad.yaml:3" in told
+    reported = wrong("  slow: {use: parts/mine.yaml, from: treadmill.emg}\n", part)
+    assert reported.startswith("parts/mine.yaml:3: node 'slow.low': cutoff_hz is 5000") and "bad.yaml:3" in reported
     part = LEG.replace("default: 20, min: 1, max: 60, ", "")
-    told = wrong("  leg: {use: parts/mine.yaml, from: treadmill.emg, cutoff_hz: 900}\n", part)
-    assert "bad.yaml:3: node 'leg.envelope': cutoff_hz is 900" in told and "parts/mine.yaml:9" in told
+    reported = wrong("  leg: {use: parts/mine.yaml, from: treadmill.emg, cutoff_hz: 900}\n", part)
+    assert "bad.yaml:3: node 'leg.envelope': cutoff_hz is 900" in reported and "parts/mine.yaml:9" in reported
 
 
 @pytest.mark.parametrize(

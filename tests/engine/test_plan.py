@@ -75,12 +75,12 @@ def test_memory_counts_states_and_queues() -> None:
     def memory(text: str) -> int:
         return plan(graph(text)).memory_bytes
 
-    none = memory("screen: {use: graph_parts.Screen, from: board}")
+    nothing = memory("screen: {use: graph_parts.Screen, from: board}")
     one = memory("low: {use: graph_parts.Low, from: board}\nscreen: {use: graph_parts.Screen, from: low}")
     worker = memory(
         "low: {use: graph_parts.Low, from: board, worker: x, queue: 10}\nscreen: {use: graph_parts.Screen, from: low}"
     )
-    assert one - none == 8000, "the state of Low; the same chunks wait before the outlet"
+    assert one - nothing == 8000, "the state of Low; the same chunks wait before the outlet"
     assert worker - one == 10 * (300 + 20 * (16 + 8)), "ten chunks of 20 ms wait before the worker"
 
 

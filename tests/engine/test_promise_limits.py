@@ -44,8 +44,8 @@ def chunk(time: list[int], until: Any = 100, lost: Any = 0, data: Any = None) ->
     ],
 )
 def test_shape_type_and_watermark(given: Chunk, words: str) -> None:
-    told = broken(SPEC, given, 50)
-    assert told.startswith(words) and bool(told) == bool(words)
+    reported = broken(SPEC, given, 50)
+    assert reported.startswith(words) and bool(reported) == bool(words)
 
 
 @pytest.mark.parametrize(
@@ -77,8 +77,8 @@ def test_stamps_are_one_row_of_int64(stamps: Any, words: str) -> None:
     ],
 )
 def test_stamps_lie_between_the_watermark_and_a_second_after_the_inputs(time: list[int], words: str) -> None:
-    told = ends(chunk(time), told=10, reached=20)
-    assert told.startswith(words) and bool(told) == bool(words)
+    reported = ends(chunk(time), promised=10, reached=20)
+    assert reported.startswith(words) and bool(reported) == bool(words)
 
 
 @pytest.mark.parametrize(
@@ -97,8 +97,8 @@ def test_stamps_lie_between_the_watermark_and_a_second_after_the_inputs(time: li
     ],
 )
 def test_times_that_no_device_can_mean(given: Chunk, words: str) -> None:
-    told = impossible(given)
-    assert told.startswith(words) and bool(told) == bool(words)
+    reported = impossible(given)
+    assert reported.startswith(words) and bool(reported) == bool(words)
 
 
 @pytest.mark.parametrize(

@@ -133,16 +133,18 @@ def test_an_operator_that_breaks_its_promise_ends_the_session_by_name(
 ) -> None:
     outcome = run("Breaks", f", how: {how}{PATHS[where]}", tmp_path / "s")
     assert isinstance(outcome.error, RunError) and outcome.exit_code == 4
-    told = str(outcome.error)
-    assert "node 'bad', output 'out'" in told and words in told and "2023-11-14T22:13:2" in told, told
+    reported = str(outcome.error)
+    assert "node 'bad', output 'out'" in reported and words in reported and "2023-11-14T22:13:2" in reported, reported
     whole(tmp_path / "s")
 
 
 @pytest.mark.parametrize("where", PATHS)
 def test_an_operator_from_outside_cannot_write_into_its_input(where: str, tmp_path: Path) -> None:
     outcome = run("Scribbles", PATHS[where], tmp_path / "s")
-    told = str(outcome.error)
-    assert outcome.exit_code == 4 and "node 'bad'" in told and "read-only" in told and "input 'in'" in told, told
+    reported = str(outcome.error)
+    assert (
+        outcome.exit_code == 4 and "node 'bad'" in reported and "read-only" in reported and "input 'in'" in reported
+    ), reported
     whole(tmp_path / "s")
     assert all(v >= 0 for v in parts.numbers())
 
@@ -180,8 +182,8 @@ def test_a_source_that_gives_what_cannot_be_ends_the_session_by_name(how: str, w
         path=__file__,
     )
     outcome = Session(graph, tmp_path / "s").run()
-    told = str(outcome.error)
-    assert outcome.exit_code == 4 and "source 'board', output 'out'" in told and words in told, told
+    reported = str(outcome.error)
+    assert outcome.exit_code == 4 and "source 'board', output 'out'" in reported and words in reported, reported
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished and recording.streams["board"].samples == 5
 

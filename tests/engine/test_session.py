@@ -217,7 +217,7 @@ def test_a_silent_source_does_not_stop_a_merge_and_what_comes_late_is_dropped(tm
 
 
 @pytest.mark.parametrize(
-    ("slip", "kind", "told"),
+    ("slip", "kind", "message"),
     [
         ("another output", "source failed", "an output 'egm' that it does not have: did you mean 'emg'"),
         ("a type", "source failed", "parts.py, line "),
@@ -225,17 +225,17 @@ def test_a_silent_source_does_not_stop_a_merge_and_what_comes_late_is_dropped(tm
         ("local time", "stamps lie ahead of the clock", "'ahead_s': 3600.0"),
     ],
 )
-def test_a_slip_in_ones_own_source_is_told(slip: str, kind: str, told: str, tmp_path: Path) -> None:
+def test_a_slip_in_ones_own_source_is_told(slip: str, kind: str, message: str, tmp_path: Path) -> None:
     nodes = f"  own: {{use: parts.Slips, slip: {slip}}}\n  out: {{use: parts.Collect, from: own.emg}}\n"
     run(nodes, tmp_path / "s", duration_s=1.0)
-    assert any(told in str(entry) for entry in recorded(tmp_path / "s").log if entry["kind"] == kind)
+    assert any(message in str(entry) for entry in recorded(tmp_path / "s").log if entry["kind"] == kind)
 
 
 def test_losses_with_every_chunk_are_told_once_and_all_recorded(tmp_path: Path) -> None:
     nodes = "  own: {use: parts.Slips, slip: seconds}\n  out: {use: parts.Collect, from: own.emg}\n"
-    with capture_logs() as told:
+    with capture_logs() as entries:
         run(nodes, tmp_path / "s", duration_s=1.0)
-    losses = [entry for entry in told if entry["event"] == "late samples dropped"]
+    losses = [entry for entry in entries if entry["event"] == "late samples dropped"]
     kept = [entry for entry in recorded(tmp_path / "s").log if entry["kind"] == "late samples dropped"]
     assert len(kept) > len(losses) == 2  # at once, and the rest at the end
     assert sum(entry["samples"] for entry in losses) == sum(entry["samples"] for entry in kept)
@@ -250,9 +250,9 @@ def test_an_operator_that_raises_stops_the_graph_and_leaves_the_recording_readab
     outcome = run(nodes, tmp_path / "s", "record: [sum]")
     assert isinstance(outcome.error, RunError)
     assert outcome.exit_code == 4
-    told = str(outcome.error)
-    assert "node 'sum': ValueError: this number is not to my taste" in told
-    assert "parts.py, line" in told and "at sample time 2023-11-14T22:13:21.23" in told
+    reported = str(outcome.error)
+    assert "node 'sum': ValueError: this number is not to my taste" in reported
+    assert "parts.py, line" in reported and "at sample time 2023-11-14T22:13:21.23" in reported
     recording = recorded(tmp_path / "s")
     assert recording.finished
     assert recording.streams["sum"].samples == 1230
@@ -370,10 +370,10 @@ def test_where_no_source_is_live_people_s_words_follow_the_data(offset_ms: float
 
     thread = threading.Thread(target=person)
     thread.start()
-    with capture_logs() as told:
+    with capture_logs() as entries:
         outcome = session.run()
     thread.join()
-    assert not [entry for entry in told if entry["log_level"] == "warning"]
+    assert not [entry for entry in entries if entry["log_level"] == "warning"]
     assert outcome.error is None and 299_900 <= came[0] <= 300_000
     last = parts.START + int(offset_ms * 1e6) + 300 * NS
     assert abs(now[0] - last) < NS // 10

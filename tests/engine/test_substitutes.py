@@ -73,9 +73,9 @@ def test_replay_without_images_begins_at_the_recorded_edges(speed: float | None,
             assert all(np.array_equal(a, b) for a, b in zip(first.read(name), again.read(name), strict=True))
     assert replayed(config, tmp_path / "again").substitutes.taken == ["level"]
     command = [sys.executable, "-m", "kinegraph", "replay", str(config), str(tmp_path / "s"), "--verify"]
-    told = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
-    assert "the images of camera.depth were not recorded" in told and "taken from the recording: level" in told
-    assert "not computed: other, othersum" in told and "sum: identical" in told and "level: identical" not in told
+    output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
+    assert "the images of camera.depth were not recorded" in output and "taken from the recording: level" in output
+    assert "not computed: other, othersum" in output and "sum: identical" in output and "level: identical" not in output
 
 
 @pytest.mark.parametrize("frames", ["packed", "image"])

@@ -74,11 +74,11 @@ def test_what_is_said_of_made_up_samples_is_not_shown(set_up: bool, capsys: pyte
         logs.set_up()
     try:
         warm_up(Pipeline(graph))
-        told = capsys.readouterr()
-        assert "the camera was moved" not in told.out + told.err
+        output = capsys.readouterr()
+        assert "the camera was moved" not in output.out + output.err
         structlog.get_logger("x").warning("the camera was moved")
-        told = capsys.readouterr()
-        assert "the camera was moved" in told.out + told.err
+        output = capsys.readouterr()
+        assert "the camera was moved" in output.out + output.err
     finally:
         structlog.reset_defaults()
 

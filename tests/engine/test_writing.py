@@ -45,12 +45,12 @@ def call(where: str) -> Call:
 
 
 @pytest.mark.parametrize(
-    ("file", "said"), [("s/report.html", "writing the report"), ("s/rows.csv", "an outlet writes what is left")]
+    ("file", "expected"), [("s/report.html", "writing the report"), ("s/rows.csv", "an outlet writes what is left")]
 )
-def test_a_report_that_is_being_written_is_called_so_once(file: str, said: str) -> None:
+def test_a_report_that_is_being_written_is_called_so_once(file: str, expected: str) -> None:
     session = Asked(call(""), is_outlet=True, file=file)
     logs = looked_at(session)
-    assert [(line["event"], line["node"], line["file"]) for line in logs] == [(said, "report", file)]
+    assert [(line["event"], line["node"], line["file"]) for line in logs] == [(expected, "report", file)]
     assert session.reports == []
 
 

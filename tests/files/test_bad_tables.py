@@ -39,9 +39,9 @@ TABLES: list[tuple[str | bytes, str]] = [
 @pytest.mark.parametrize(("text", "words"), TABLES, ids=[words for _, words in TABLES])
 def test_a_table_that_cannot_be(text: str | bytes, words: str, kinegraph: Command, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
-    told = kinegraph("files", "import", "t.csv", "-o", "t.mcap")
-    refused(told, words)
-    assert not told[2].startswith("\n"), "no trace of a progress bar that nobody can see"
+    output = kinegraph("files", "import", "t.csv", "-o", "t.mcap")
+    refused(output, words)
+    assert not output[2].startswith("\n"), "no trace of a progress bar that nobody can see"
     assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
 
 
@@ -119,12 +119,14 @@ def test_what_is_there_is_not_replaced(kinegraph: Command, made: Path, tmp_path:
 
 def test_nothing_is_verified_where_there_is_nothing_to_compare(kinegraph: Command, made: Path, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("time,a [uV],b\n0,1,1\n1,2,1\n2,3,1\n")
-    code, said, _ = kinegraph("files", "import", "t.csv", "-o", "t.mcap", "--stream", "board.emg=a,b", "--time", "time")
-    assert code == 0 and "in µV, no unit" in said
+    code, output, _ = kinegraph(
+        "files", "import", "t.csv", "-o", "t.mcap", "--stream", "board.emg=a,b", "--time", "time"
+    )
+    assert code == 0 and "in µV, no unit" in output
     refused(kinegraph("replay", made / "graph.yaml", "t.mcap", "--verify"), "t.mcap holds no output", "`record`")
     (tmp_path / "less.yaml").write_text(BOARD % 2)
-    code, said, _ = kinegraph("replay", "less.yaml", made / "s", "--verify")
-    assert code == 1 and "rect: NOT COMPARED" in said
+    code, output, _ = kinegraph("replay", "less.yaml", made / "s", "--verify")
+    assert code == 1 and "rect: NOT COMPARED" in output
 
 
 def test_streams_that_would_become_one_table_are_kept_apart(kinegraph: Command, tmp_path: Path) -> None:

@@ -148,8 +148,8 @@ def test_a_recording_of_more_frames_than_a_header_can_count_is_read_to_its_end(t
 
     trial = field("START", 1), field("END", 70_000)
     block = bytes(512 - 70_000 * 16 % 512)
-    for said in (trial, [real("POINT:LONG_FRAMES", 70_000.0)]):
-        frames, findings = long(tmp_path, *said, fill=block + bytes(512))
+    for text in (trial, [real("POINT:LONG_FRAMES", 70_000.0)]):
+        frames, findings = long(tmp_path, *text, fill=block + bytes(512))
         assert frames == 70_000 and not any("last block" in doubt for doubt in findings.doubts)
     frames, findings = long(tmp_path, fill=block)
     assert frames == 70_000 and any("nothing says how many frames" in doubt for doubt in findings.doubts)

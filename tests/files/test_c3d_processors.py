@@ -23,12 +23,12 @@ READ = sorted(path.name for path in FILES.glob("*.c3d") if path.name != "sgi_int
 @pytest.mark.parametrize("name", READ or [""])
 def test_the_library_reads_the_same_bits(name: str) -> None:
     """Real files, of whole numbers and floating-point ones."""
-    told = ezc3d.c3d(str(FILES / name))
+    reported = ezc3d.c3d(str(FILES / name))
     found = {one.name.rpartition(".")[2]: one for one in read_c3d(FILES / name)}
-    points = np.array(told["data"]["points"][:3].transpose(2, 1, 0))
-    points[told["data"]["meta_points"]["residuals"][0].T < 0] = np.nan
+    points = np.array(reported["data"]["points"][:3].transpose(2, 1, 0))
+    points[reported["data"]["meta_points"]["residuals"][0].T < 0] = np.nan
     np.testing.assert_array_equal(found["markers"].data, points, strict=True)
-    analogue = told["data"]["analogs"][0].T
+    analogue = reported["data"]["analogs"][0].T
     assert ("analog" in found) == bool(analogue.size)
     if analogue.size:
         np.testing.assert_array_equal(found["analog"].data, analogue, strict=True)

@@ -147,7 +147,7 @@ def test_what_cannot_be_read_is_told(tmp_path: Path) -> None:
     write(tmp_path / "grey.mcap", [(0, body_of(0, FRAMES[0], type_=30))])
     write(tmp_path / "empty.mcap", [])
     (tmp_path / "text.mcap").write_text("no recording at all")
-    for name, parameters, told in (
+    for name, parameters, reported in (
         ("none.mcap", {}, "cannot be read"),
         ("text.mcap", {}, "not an MCAP recording"),
         ("empty.mcap", {}, "holds no whole depth frame"),
@@ -156,7 +156,7 @@ def test_what_cannot_be_read_is_told(tmp_path: Path) -> None:
         ("a.mcap", {"width": 80}, "write width: 64 and height: 48"),
     ):
         _, feed = read(tmp_path / name, **parameters)
-        assert isinstance(feed.error, DeviceError) and told in str(feed.error), name
+        assert isinstance(feed.error, DeviceError) and reported in str(feed.error), name
 
 
 @pytest.fixture(scope="module")

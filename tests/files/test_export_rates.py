@@ -45,11 +45,11 @@ def test_stamps_within_half_a_period_are_exported_at_the_rate_that_fits_them(
     data = noise(n)
     file = recorded(tmp_path, stamps(n, true_hz, 0.4), data)
     kinegraph("files", "export", file, "-o", tmp_path / "live.edf")
-    said = " ".join(capsys.readouterr().out.split())
-    told = re.search(
-        r"written at (.*) Hz, the rate that fits its stamps \(nominal 1000 Hz\); a stamp is at most 0.4 periods", said
+    stderr = " ".join(capsys.readouterr().out.split())
+    reported = re.search(
+        r"written at (.*) Hz, the rate that fits its stamps \(nominal 1000 Hz\); a stamp is at most 0.4 periods", stderr
     )
-    assert told and float(told[1]) == pytest.approx(true_hz, abs=0.001)
+    assert reported and float(reported[1]) == pytest.approx(true_hz, abs=0.001)
     edf = edfio.read_edf(tmp_path / "live.edf")
     signal = edf.signals[0]
     assert abs(signal.sampling_frequency / true_hz - 1) * n < 0.5, "no sample is half a period from its stamp"

@@ -18,9 +18,9 @@ from tests.support.real import needs_data, real_file
 def test_the_real_treadmill_recording(tmp_path: Path) -> None:
     file = real_file("emg/emg_santuz_tw12.npz")
     events = ["--events", "treadmill.touchdown=touchdown_s", "--events", "treadmill.liftoff=liftoff_s"]
-    told = ["--meta", "treadmill.touchdown:side=right", "--fact", "subject=TW12", "--fact", "speed_kmh=5"]
+    lines = ["--meta", "treadmill.touchdown:side=right", "--fact", "subject=TW12", "--fact", "speed_kmh=5"]
     signal = ["--stream", "treadmill.emg=emg_uV", "--time", "t_s", "--names", "names", "--unit", "uV"]
-    with imported(tmp_path, file, *signal, *events, *told) as recording:
+    with imported(tmp_path, file, *signal, *events, *lines) as recording:
         truth = arrays(file)
         time, data = recording.read("treadmill.emg")
         assert data.dtype == np.float32 and np.array_equal(data, truth["emg_uV"])

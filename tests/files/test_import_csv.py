@@ -41,8 +41,8 @@ def test_several_csv_files_into_one_recording(tmp_path: Path) -> None:
     refused(
         tmp_path, "'time' is in several files; name one of emg:time, steps:time", *files, "--events", "b.steps=time"
     )
-    told = ["--stream", "b.emg=TA,GM", "--time", "emg:time", "--events", "b.steps=steps:time"]
-    with imported(tmp_path, *files, *told) as recording:
+    lines = ["--stream", "b.emg=TA,GM", "--time", "emg:time", "--events", "b.steps=steps:time"]
+    with imported(tmp_path, *files, *lines) as recording:
         assert recording.read("b.steps")[1]["onset"].tolist() == [250_000_000, 750_000_000]
         assert recording.streams["b.emg"].spec.channels == ("TA", "GM")
 

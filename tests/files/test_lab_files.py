@@ -24,9 +24,9 @@ TRUTH: dict[str, dict[str, Any]] = json.loads((FILES / "truth.json").read_text()
 MT_HZ = 100.0
 
 
-def read(name: str, **said: Any) -> tuple[dict[str, Series], Findings]:
+def read(name: str, **reported: Any) -> tuple[dict[str, Series], Findings]:
     """The streams of a file by what stands behind its own name."""
-    options = ImportOptions(**said)
+    options = ImportOptions(**reported)
     file = FILES / name
     series = read_files([file], options)
     return {one.name.removeprefix(file.stem).removeprefix("."): one for one in series}, options.findings
@@ -81,12 +81,12 @@ def test_c3d(name: str) -> None:
         )
     else:
         assert "analog" not in found
-    told = [(f"{side} {label}".lower().replace(" ", "_"), t) for side, label, t in truth.get("events", [])]
-    told += [(label.lower(), t) for label, t in truth.get("header_events", [])]
+    lines = [(f"{side} {label}".lower().replace(" ", "_"), t) for side, label, t in truth.get("events", [])]
+    lines += [(label.lower(), t) for label, t in truth.get("header_events", [])]
     mine = [(part, t / NS) for part, one in found.items() if one.spec.is_event for t in one.data["onset"].tolist()]
-    if told or name != "c3d/dec_real.c3d":  # whose header holds events that the truth's reader does not see
-        assert sorted(part for part, _ in mine) == sorted(part for part, _ in told)
-        np.testing.assert_allclose([t for _, t in sorted(mine)], [t for _, t in sorted(told)], atol=1e-5)
+    if lines or name != "c3d/dec_real.c3d":  # whose header holds events that the truth's reader does not see
+        assert sorted(part for part, _ in mine) == sorted(part for part, _ in lines)
+        np.testing.assert_allclose([t for _, t in sorted(mine)], [t for _, t in sorted(lines)], atol=1e-5)
     assert "subject" not in findings.facts, "a name is nobody's business"
 
 
@@ -180,9 +180,9 @@ def test_inertial_sensors(name: str) -> None:
         c for c in truth["columns"] if c not in ("PacketCounter", "SampleTimeFine", "Year", "Month", "Day", "Second")
     ]
     assert list(columns) == known and all(len(column) == truth["n_rows"] for column in columns.values())
-    told = dict(zip(truth["columns"], truth["first_row"], strict=False))
-    shown = [column for column in known if column in told]
-    np.testing.assert_allclose([columns[c][0] for c in shown], numbers([told[c] for c in shown]), atol=1e-9)
+    facts = dict(zip(truth["columns"], truth["first_row"], strict=False))
+    shown = [column for column in known if column in facts]
+    np.testing.assert_allclose([columns[c][0] for c in shown], numbers([facts[c] for c in shown]), atol=1e-9)
     assert all(one.spec.rate_hz == MT_HZ for one in found.values())
 
 

@@ -26,10 +26,10 @@ from kinegraph.stream.recording.series import Series
 from tests.files import lab_replicas as made
 
 
-def read(path: Path, text: str | bytes = b"", **said: Any) -> tuple[dict[str, Series], Findings]:
+def read(path: Path, text: str | bytes = b"", **reported: Any) -> tuple[dict[str, Series], Findings]:
     if text:
         path.write_bytes(text.encode() if isinstance(text, str) else text)
-    options = ImportOptions(**said)
+    options = ImportOptions(**reported)
     return {s.name.removeprefix(path.stem).removeprefix("."): s for s in read_files([path], options)}, options.findings
 
 

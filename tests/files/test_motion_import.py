@@ -463,9 +463,9 @@ def test_streams_of_motion_files_get_the_names_that_a_graph_wants(tmp_path):
         "--time",
         "board.x=t",
     )
-    said = ("--unit", "mocap.joints=cm", "--scale", "walk=2", "--meta", "lab.markers:who=S1", "--unit", "board.x=V")
+    reported = ("--unit", "mocap.joints=cm", "--scale", "walk=2", "--meta", "lab.markers:who=S1", "--unit", "board.x=V")
     files = [tmp_path / name for name in ("a.csv", "walk.bvh", "gait.c3d")]
-    kinegraph("files", "import", *files, *chosen, *said, "-o", tmp_path / "all.mcap")
+    kinegraph("files", "import", *files, *chosen, *reported, "-o", tmp_path / "all.mcap")
     with Recording.open(tmp_path / "all.mcap") as recording:
         specs = {name: stream.spec for name, stream in recording.streams.items()}
     assert set(specs) == {"mocap.joints", "lab.markers", "board.x"}
@@ -474,7 +474,7 @@ def test_streams_of_motion_files_get_the_names_that_a_graph_wants(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("said", "message"),
+    ("expected", "message"),
     [
         (
             ("--stream", "mocap.joints=wlak"),
@@ -487,6 +487,8 @@ def test_streams_of_motion_files_get_the_names_that_a_graph_wants(tmp_path):
         (("--time", "t"), "--time: files of motion say this themselves"),
     ],
 )
-def test_what_is_said_of_motion_files_in_vain_is_refused(tmp_path, said, message):
+def test_what_is_said_of_motion_files_in_vain_is_refused(tmp_path, expected, message):
     with pytest.raises(RecordingError, match=message):
-        cli.call("files import", [str(written(tmp_path, "walk.bvh", BVH)), *said, "-o", str(tmp_path / "walk.mcap")])
+        cli.call(
+            "files import", [str(written(tmp_path, "walk.bvh", BVH)), *expected, "-o", str(tmp_path / "walk.mcap")]
+        )

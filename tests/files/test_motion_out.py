@@ -202,18 +202,18 @@ def test_vrchat_gets_trackers_where_the_joints_are(receiver: socket.socket) -> N
     outlet.process("pose", Chunk(np.array([1]), broken, 1))
     outlet.process("pose", Chunk(np.array([2]), POSES[7:8], 2))
     osc = pytest.importorskip("pythonosc.osc_bundle", reason="python-osc is not installed")
-    said = {m.address: list(m.params) for m in osc.OscBundle(receiver.recv(65536))}
+    facts = {m.address: list(m.params) for m in osc.OscBundle(receiver.recv(65536))}
     outlet.close()
     receiver.close()
     turns, places = joints_of(TREE, POSES[7:8])
     for name, bone in [*((str(k + 1), b) for k, b in enumerate(TRACKERS)), ("head", "Head")]:
         b = BONES.index(bone)
-        assert np.allclose(said[f"/tracking/trackers/{name}/position"], places[0, b] * [-1, 1, 1], atol=1e-5)
-        x, y, z = said[f"/tracking/trackers/{name}/rotation"]
+        assert np.allclose(facts[f"/tracking/trackers/{name}/position"], places[0, b] * [-1, 1, 1], atol=1e-5)
+        x, y, z = facts[f"/tracking/trackers/{name}/rotation"]
         unity = Rotation.from_euler("zxy", [z, x, y], degrees=True).as_quat()
         w, qx, qy, qz = turns[0, b]
         assert abs(unity @ [qx, -qy, -qz, w]) == pytest.approx(1.0, abs=1e-6)
-    assert len(said) == 18
+    assert len(facts) == 18
     with pytest.raises(InputError, match="a stream of poses"):
         VrchatTrackers().open({"pose": StreamSpec((3,))})
 
@@ -257,7 +257,7 @@ def test_a_receiver_that_is_not_there_is_told_once_and_again_when_it_has_been_ba
         ("in", StreamSpec((1, 3), channels=("a",), units=("m",))) if kind is OscPoints else ("pose", TREE.spec(30.0))
     )
     row = np.ones((1, 1, 3)) if kind is OscPoints else POSES[:1]
-    with capture_logs() as said:
+    with capture_logs() as entries:
         outlet.open({entry: spec})
         outlet.begin()
 
@@ -265,7 +265,7 @@ def test_a_receiver_that_is_not_there_is_told_once_and_again_when_it_has_been_ba
             for k in range(times):
                 outlet.process(entry, Chunk(np.array([k + 1]), row, k + 1))
                 time.sleep(0.001)
-            return sum(one["log_level"] == "warning" for one in said)
+            return sum(one["log_level"] == "warning" for one in entries)
 
         assert warned(40) == 1, "one warning, not one a sample"
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as back:

@@ -65,10 +65,10 @@ def test_a_recording_unpacks_within_bounds(
 ) -> None:
     whole = (made / "s" / "session.0000.mcap").read_bytes()
     (tmp_path / "bomb.mcap").write_bytes(bomb(whole, compression, make(size), declared))
-    told = measured(command, "bomb.mcap", folder=tmp_path)
-    assert "Traceback" not in told.err and told.code in (0, 2), told.err
-    assert "bomb.mcap" in told.out + told.err
-    assert told.peak_mb < MOST_MB
+    reported = measured(command, "bomb.mcap", folder=tmp_path)
+    assert "Traceback" not in reported.err and reported.code in (0, 2), reported.err
+    assert "bomb.mcap" in reported.out + reported.err
+    assert reported.peak_mb < MOST_MB
 
 
 @pytest.mark.parametrize("command", ["info", "recover"])
@@ -76,9 +76,9 @@ def test_a_recording_of_nothing_but_zeros_is_refused_at_once(made: Path, tmp_pat
     whole = (made / "s" / "session.0000.mcap").read_bytes()
     packed = zeros_zstd(bounded.LEAST)
     (tmp_path / "bomb.mcap").write_bytes(bomb(whole, "zstd", packed, bounded.LEAST, 10_000_000 // len(packed)))
-    told = measured(command, "bomb.mcap", folder=tmp_path)
-    assert told.code == 2 and "bomb.mcap: it claims to hold" in told.err
-    assert told.peak_mb < MOST_MB and told.cpu_s < MOST_S
+    reported = measured(command, "bomb.mcap", folder=tmp_path)
+    assert reported.code == 2 and "bomb.mcap: it claims to hold" in reported.err
+    assert reported.peak_mb < MOST_MB and reported.cpu_s < MOST_S
 
 
 @pytest.mark.parametrize("command", ["info", "view"])
@@ -88,9 +88,9 @@ def test_a_stream_of_very_many_channels_is_looked_at_within_bounds(tmp_path: Pat
     write_recording(tmp_path / "wide.mcap", [Series("wide", wide, stamps, np.zeros((2, 60_000), "<f4"))], {"graph": ""})
     assert (tmp_path / "wide.mcap").stat().st_size < 10_000
     options = ("--for", "1", "--page-at", ":0") if command == "view" else ()
-    told = measured(command, "wide.mcap", *options, folder=tmp_path)
-    assert told.code == 0 and "Traceback" not in told.err
-    assert told.peak_mb < MOST_MB and told.cpu_s < MOST_S
+    reported = measured(command, "wide.mcap", *options, folder=tmp_path)
+    assert reported.code == 0 and "Traceback" not in reported.err
+    assert reported.peak_mb < MOST_MB and reported.cpu_s < MOST_S
 
 
 def npz(path: Path, header: bytes, zeros: int) -> None:
@@ -108,10 +108,15 @@ def npz(path: Path, header: bytes, zeros: int) -> None:
 def test_arrays_are_read_within_bounds(tmp_path: Path, shape: str, size: int) -> None:
     head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(117) + b"\n"
     npz(tmp_path / "x.npz", head, size)
-    told = measured(
+    reported = measured(
         "files", "import", "x.npz", "-o", "x.mcap", "--stream", "emg=emg", "--rate", "emg=100", folder=tmp_path
     )
-    assert told.code == 2 and "x.npz" in told.err and "Traceback" not in told.err and told.peak_mb < MOST_MB
+    assert (
+        reported.code == 2
+        and "x.npz" in reported.err
+        and "Traceback" not in reported.err
+        and reported.peak_mb < MOST_MB
+    )
 
 
 def test_a_compressed_xdf_file_is_read_within_bounds(tmp_path: Path) -> None:
@@ -119,8 +124,13 @@ def test_a_compressed_xdf_file_is_read_within_bounds(tmp_path: Path) -> None:
         file.write(b"XDF:")
         for _ in range(1 << 10):
             file.write(bytes(1 << 20))
-    told = measured("files", "import", "x.xdf", "-o", "x.mcap", folder=tmp_path)
-    assert told.code == 2 and "x.xdf" in told.err and "Traceback" not in told.err and told.peak_mb < MOST_MB
+    reported = measured("files", "import", "x.xdf", "-o", "x.mcap", folder=tmp_path)
+    assert (
+        reported.code == 2
+        and "x.xdf" in reported.err
+        and "Traceback" not in reported.err
+        and reported.peak_mb < MOST_MB
+    )
 
 
 @pytest.mark.parametrize(
@@ -140,9 +150,9 @@ def test_a_c3d_file_is_read_within_bounds(tmp_path: Path, name: str, used: int |
             struct.pack_into("<h", data, at + len(group) + 4, value or 0)
             at = data.find(group, at + 1)
     (tmp_path / "x.c3d").write_bytes(data)
-    told = measured("files", "import", "x.c3d", "-o", "x.mcap", folder=tmp_path)
-    assert told.code == 2 and "x.c3d" in told.err and "Traceback" not in told.err
-    assert told.peak_mb < MOST_MB
+    reported = measured("files", "import", "x.c3d", "-o", "x.mcap", folder=tmp_path)
+    assert reported.code == 2 and "x.c3d" in reported.err and "Traceback" not in reported.err
+    assert reported.peak_mb < MOST_MB
 
 
 def test_what_is_unpacked_is_what_was_declared() -> None:

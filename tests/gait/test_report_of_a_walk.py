@@ -96,7 +96,7 @@ def test_no_number_is_minus_nothing_and_microvolts_are_printed_with_the_micro_si
     tally, specs = heard
     page = render(*compose(tally, specs, None, {}))
     assert "-0<" not in page and "± -0" not in page and "µV" in page and "uV" not in page
-    groups = Groups.none(specs)
+    groups = Groups.empty(specs)
     groups.burst_names, groups.bursts = ["TA"], [np.array([9, 1.0, 18.0, -0.0, 52.0, -0.0, 34.0, -0.0])]
     assert _bursts(groups, ["TA"]).rows == [["TA", "9", "1.0", "18 ± 0", "52 ± 0", "34 ± 0"]]
     assert circular(np.array([18.0, 18.0]))[1] == 0.0

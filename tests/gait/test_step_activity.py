@@ -96,7 +96,7 @@ def test_what_is_no_step_or_no_acceleration_is_refused():
 
 @needs_data
 def test_on_real_walks_standing_and_turns_are_told():
-    from bench.step_walks import told as on_walks
+    from bench.step_walks import evaluate as on_walks
 
     found = on_walks()
     assert found.stood[0] / found.stood[1] > 0.95 and found.turns[0] == found.turns[1]

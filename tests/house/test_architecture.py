@@ -106,12 +106,12 @@ def texts() -> list[Path]:
 
 
 def test_no_file_knows_this_machine() -> None:
-    told = []
+    rows = []
     for path in texts():
         for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
             if MACHINE.search(line):
-                told.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}")
-    assert not told, "\n".join(told)
+                rows.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:100]}")
+    assert not rows, "\n".join(rows)
 
 
 PARTS, FAILED = catalogue(PACKAGES)
@@ -125,8 +125,8 @@ def test_every_module_can_be_imported() -> None:
 
 @each_part
 def test_a_part_says_what_it_does(part: Any) -> None:
-    said = part.__dict__.get("__doc__") or ""
-    assert said and not said.startswith(f"{part.__name__}("), (
+    reported = part.__dict__.get("__doc__") or ""
+    assert reported and not reported.startswith(f"{part.__name__}("), (
         "a part needs a docstring: what goes in, what comes out, delay, source"
     )
 
@@ -134,8 +134,8 @@ def test_a_part_says_what_it_does(part: Any) -> None:
 @each_part
 def test_a_parameter_has_a_help_or_a_unit(part: Any) -> None:
     for f in fields(part):
-        told = f.metadata.get("kinegraph", {}).get("description") or UNITS.search(f.name)
-        assert told, f"{part.__name__}.{f.name} needs `help` in its param, or a unit in its name"
+        reported = f.metadata.get("kinegraph", {}).get("description") or UNITS.search(f.name)
+        assert reported, f"{part.__name__}.{f.name} needs `help` in its param, or a unit in its name"
 
 
 def module_of(path: Path) -> str:

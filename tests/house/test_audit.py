@@ -49,16 +49,16 @@ def audit(tmp_path: Path, *packages: str, **environment: str) -> subprocess.Comp
 
 
 def test_an_audit_that_cannot_ask_fails(tmp_path: Path) -> None:
-    with socket.socket() as nobody:
-        nobody.bind(("127.0.0.1", 0))
-        away = f"http://127.0.0.1:{nobody.getsockname()[1]}"
+    with socket.socket() as absent:
+        absent.bind(("127.0.0.1", 0))
+        away = f"http://127.0.0.1:{absent.getsockname()[1]}"
         done = audit(tmp_path, "numpy==2.0.0", HTTPS_PROXY=away, HTTP_PROXY=away, https_proxy=away, http_proxy=away)
     assert done.returncode != 0 and "could not be made" in done.stderr, done.stderr
     assert "No known" not in done.stdout + done.stderr
 
 
 @pytest.mark.parametrize(
-    ("answers", "said", "code"),
+    ("answers", "expected", "code"),
     [
         ({"numpy": [], "bvh": [], "rich": []}, ["3 of 3 packages audited; known holes: 0"], 0),
         ({"numpy": [], "rich": []}, ["2 of 3 packages audited; known holes: 0", "knows nothing of 1: bvh"], 1),
@@ -68,9 +68,9 @@ def test_an_audit_that_cannot_ask_fails(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_package_that_the_index_does_not_know(
-    answers: dict[str, list[object]], said: list[str], code: int, tmp_path: Path
+    answers: dict[str, list[object]], expected: list[str], code: int, tmp_path: Path
 ) -> None:
     (tmp_path / "sitecustomize.py").write_text(INDEX.format(answers=answers), encoding="utf-8")
     done = audit(tmp_path, "numpy==2.0.0", "bvh==0.3", "rich==1.0", PYTHONPATH=str(tmp_path))
     assert done.returncode == code, done.stderr
-    assert [words for words in said if words not in done.stdout] == []
+    assert [words for words in expected if words not in done.stdout] == []

@@ -159,9 +159,9 @@ def test_the_sdist_gives_the_same_wheel(site: Path, tmp_path: Path) -> None:
         cwd=tmp_path,
     )
     code = "import sys; sys.path.insert(0, 'there'); from kinegraph.stream.cli import main; print(main.__file__); main.main()"
-    told = run(site / "python", "-c", code, "configs", cwd=tmp_path).splitlines()
-    assert Path(told[0]).is_relative_to(tmp_path / "there")
-    assert graphs_listed(told[1:]) == NAMES
+    emitted = run(site / "python", "-c", code, "configs", cwd=tmp_path).splitlines()
+    assert Path(emitted[0]).is_relative_to(tmp_path / "there")
+    assert graphs_listed(emitted[1:]) == NAMES
 
 
 EVERY_HELP = """
@@ -200,8 +200,8 @@ for name, path in shipped().items():
 
 
 def test_every_command_of_a_wheel_tells_what_it_does(site: Path, tmp_path: Path) -> None:
-    told = run(site / "python", "-c", EVERY_HELP, cwd=tmp_path)
-    assert int(told.split()[-2]) > 30
+    emitted = run(site / "python", "-c", EVERY_HELP, cwd=tmp_path)
+    assert int(emitted.split()[-2]) > 30
 
 
 def test_every_graph_of_a_wheel_is_accepted(site: Path, tmp_path: Path) -> None:

@@ -19,8 +19,8 @@ def named(requirement: str) -> str:
     sorted({named(one) for one in requires("kinegraph") or [] if "extra ==" not in one}),
 )
 def test_what_is_installed_with_kinegraph_states_its_licence(name: str) -> None:
-    told = licence(distribution(name))
-    assert told and "\n" not in told and "GPL" not in told.replace("LGPL", "")
+    reported = licence(distribution(name))
+    assert reported and "\n" not in reported and "GPL" not in reported.replace("LGPL", "")
 
 
 def test_a_licence_is_known_by_its_text() -> None:

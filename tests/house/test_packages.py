@@ -173,10 +173,10 @@ def test_its_panel_is_drawn_in_a_browser(
 
 @pytest.mark.parametrize(("kind", "name"), [("operator", "my_filter"), ("device", "my_board")])
 def test_a_skeleton_works_and_its_own_tests_pass(kind: str, name: str, tmp_path: Path, kinegraph: Command) -> None:
-    code, told, _ = kinegraph("dev", "new", kind, name, "-o", "made")
-    assert code == 0 and all(str(Path("made") / title.format(name)) in told for title in FILES[kind].values())
-    told = run(tmp_path, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "made", cwd=tmp_path)
-    assert "3 passed" in told
+    code, output, _ = kinegraph("dev", "new", kind, name, "-o", "made")
+    assert code == 0 and all(str(Path("made") / title.format(name)) in output for title in FILES[kind].values())
+    output = run(tmp_path, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "made", cwd=tmp_path)
+    assert "3 passed" in output
     refused(kinegraph("dev", "new", kind, name, "-o", "made"), "already exists", "--out")
 
 

@@ -29,8 +29,8 @@ COMPILED = {"numpy", "scipy", "numba", "llvmlite", "msgspec", "lz4", "zstandard"
 def needed() -> list[str]:
     """What `pip install kinegraph[oak]` asks for there; pip itself judges markers by the machine that it runs on."""
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
-    told = [*project["dependencies"], *project["optional-dependencies"]["oak"]]
-    return [one for one in told if "platform_machine != 'aarch64'" not in one]
+    lines = [*project["dependencies"], *project["optional-dependencies"]["oak"]]
+    return [one for one in lines if "platform_machine != 'aarch64'" not in one]
 
 
 @pytest.mark.timeout(240)

@@ -17,7 +17,7 @@ def pieces(sizes: list[int], lost: int = 0) -> list[tuple[str, Chunk]]:
 
 
 @pytest.mark.parametrize(
-    ("sizes", "lost", "told"),
+    ("sizes", "lost", "expected"),
     [
         ([7, 7, 7, 1], 0, "'in': 3x7 1"),
         ([1], 0, "'in': 1"),
@@ -26,8 +26,8 @@ def pieces(sizes: list[int], lost: int = 0) -> list[tuple[str, Chunk]]:
         ([k % 2 for k in range(31)], 0, "'in': " + " ".join(["0 1"] * 10) + " ... (6 more) ... 0 1 0 1 0"),
     ],
 )
-def test_a_cutting_is_described_on_one_line(sizes: list[int], lost: int, told: str) -> None:
-    assert describe(pieces(sizes, lost)) == told
+def test_a_cutting_is_described_on_one_line(sizes: list[int], lost: int, expected: str) -> None:
+    assert describe(pieces(sizes, lost)) == expected
 
 
 @pytest.mark.parametrize(("later_s", "lacking"), [(1.0, 0), (1.01, 1), (1.5, 50), (1.004, -1)])

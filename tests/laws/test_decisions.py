@@ -94,9 +94,9 @@ def test_no_event_of_a_shipped_graph_comes_later_than_check_says(
 
 def test_check_prints_when_events_come_beside_the_delay(kinegraph: Command) -> None:
     code, out, _ = kinegraph("check", CONFIGS / "treadmill_emg.yaml")
-    told = " ".join(out.split())
-    assert code == 0 and "cycles.closed 25 ms after its end or onset, 264 ms with the delay" in told, told
-    assert "statistics 25 ms after its end or onset, 264 ms with the delay" in told, told
+    text = " ".join(out.split())
+    assert code == 0 and "cycles.closed 25 ms after its end or onset, 264 ms with the delay" in text, text
+    assert "statistics 25 ms after its end or onset, 264 ms with the delay" in text, text
 
 
 # operator by operator ------------------------------------------------------------------------------------------------

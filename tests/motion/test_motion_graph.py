@@ -324,7 +324,7 @@ def test_a_word_changes_what_is_done(graph: MotionGraph, tmp_path: Path) -> None
     graph.write(path, {})
     feed = Heard({10: "curve", 400: "<script>", 500: "2 nan", 600: "stop"})
     Synthesis(model=path).read(feed)  # type: ignore[arg-type]
-    assert len(feed.poses) == 600 and sum("not understood" in t for t in feed.told) == 2
+    assert len(feed.poses) == 600 and sum("not understood" in t for t in feed.reports) == 2
     nodes = np.array(feed.nodes, NODE)
     entered = (nodes["onset"] - 1000 * NS) / NS * RATE
     assert set(nodes["cluster"][entered > 200]) == {"curve"}
@@ -357,7 +357,7 @@ def test_a_target_out_of_reach_ends_the_walk_and_says_so(tmp_path: Path) -> None
     spot.write(tmp_path / "spot.npz", {})
     feed = Heard({}, most=4000)
     Synthesis(model=tmp_path / "spot.npz", target=(5.0, 5.0), realtime=False).read(feed)  # type: ignore[arg-type]
-    assert feed.told and "not reached" in feed.told[-1] and not feed.stopped
+    assert feed.reports and "not reached" in feed.reports[-1] and not feed.stopped
 
 
 def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph: Command) -> None:

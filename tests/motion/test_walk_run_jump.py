@@ -97,7 +97,7 @@ def test_it_goes_where_it_is_told_as_it_is_told(trained: MotionGraph) -> None:
     feed = Watcher()
     Synthesis(model=Path("graph.npz"), then="wander").read(feed)  # type: ignore[arg-type]
     poses, nodes = np.array(feed.poses), np.array(feed.nodes, NODE)
-    assert not feed.told and len(feed.told_at) == 3, "each was done, so that the next could be told"
+    assert not feed.reports and len(feed.told_at) == 3, "each was done, so that the next could be told"
     walks, runs, jumps = feed.told_at
     stamps = 1000 * NS + np.round(np.arange(len(poses)) * NS / RATE).astype(np.int64)
     names = nodes["cluster"][np.searchsorted(nodes["onset"], stamps, side="right") - 1]

@@ -53,16 +53,16 @@ async def main() -> None:
         if len(known) >= WANTED:
             break
         await asyncio.sleep(0.1)
-    told = {}
+    facts = {}
     for e in found:
         state = hass.states.get(e.entity_id)
         device = devices.async_get(e.device_id)
         area = areas.async_get_area(device.area_id) if device.area_id else None
-        told[e.entity_id] = {
+        facts[e.entity_id] = {
             "state": state.state if state else None, "unique_id": e.unique_id, "category": e.entity_category,
             "attributes": dict(state.attributes) if state else {}, "device": device.name, "area": area.name if area else None,
         }  # fmt: skip
-    print("TOLD " + json.dumps(told, default=str), flush=True)
+    print("TOLD " + json.dumps(facts, default=str), flush=True)
     await hass.async_stop(force=True)
 
 

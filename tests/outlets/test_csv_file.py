@@ -127,8 +127,8 @@ def test_opening_alone_touches_nothing(tmp_path: Path) -> None:
 
 def test_impossible_places_are_refused_when_the_graph_is_checked(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    for path, told in ((tmp_path, "not a folder"), (tmp_path / "file" / "emg.csv", "is a file")):
-        with pytest.raises(ParameterError, match=told):
+    for path, reported in ((tmp_path, "not a folder"), (tmp_path / "file" / "emg.csv", "is a file")):
+        with pytest.raises(ParameterError, match=reported):
             opened(path)
     with pytest.raises(InputError, match="4096"):
         opened(tmp_path / "depth.csv", StreamSpec((480, 640), np.dtype("u2")))
@@ -265,11 +265,11 @@ def test_kill_9_loses_no_row(tmp_path: Path) -> None:
     path = tmp_path / "emg.csv"
     with subprocess.Popen([sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout
-        told = [int(process.stdout.readline()) for _ in range(500)][-1]
+        output = [int(process.stdout.readline()) for _ in range(500)][-1]
         with pytest.raises(DeviceError, match="another session"):
             begun(path)
         process.send_signal(signal.SIGKILL)
     assert path.read_bytes().endswith(b"\n")
     values = [float(row[-1]) for row in read(path)[1]]
-    assert len(values) > told and values == list(range(len(values)))
+    assert len(values) > output and values == list(range(len(values)))
     begun(path).close()

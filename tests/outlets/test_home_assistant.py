@@ -32,12 +32,12 @@ NOW = 1_767_225_600 * NS
 
 def outlet(port: int, nights: Path) -> MqttOutlet:
     """The shipped graph's own outlet, at another broker."""
-    told = {
+    facts = {
         "home.broker": {"host": "127.0.0.1", "port": port},
         "home.ledger": "",
         "home.report": {"nights": str(nights)},
     }
-    graph = load(CONFIG, overrides=told)
+    graph = load(CONFIG, overrides=facts)
     made = graph.nodes["home"].part.unopened()
     assert isinstance(made, MqttOutlet)
     made.open(graph.input_specs(graph.nodes["home"]))
@@ -93,22 +93,22 @@ def test_home_assistant_makes_of_it_what_the_docs_say(tmp_path: Path) -> None:
             done = subprocess.run(command, capture_output=True, text=True, timeout=100, cwd=tmp_path)
         finally:
             made.close()
-        topics = {topic: json.loads(text) for topic, text, _ in client.said if topic.endswith("/config")}
+        topics = {topic: json.loads(text) for topic, text, _ in client.messages if topic.endswith("/config")}
     for topic, message in topics.items():
         home_assistant.check(topic, message)
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("TOLD ")] or pytest.fail(
         done.stderr[-3000:]
     )
-    told = json.loads(line.removeprefix("TOLD "))
-    assert {e["unique_id"] for e in told.values()} == {m["unique_id"] for m in topics.values()}, done.stderr[-2000:]
-    assert {(e["device"], e["area"]) for e in told.values()} == {("Bed", "Bedroom")}
-    assert {e["state"] for e in told.values()} & {"unknown", "unavailable", None} == set(), told
-    assert told["binary_sensor.bed_in_bed"]["state"] == "on"
-    assert told["sensor.bed_night_in_bed_from"]["state"] == "2026-01-01T00:00:00+00:00"
-    report = told["sensor.bed_report"]
+    record = json.loads(line.removeprefix("TOLD "))
+    assert {e["unique_id"] for e in record.values()} == {m["unique_id"] for m in topics.values()}, done.stderr[-2000:]
+    assert {(e["device"], e["area"]) for e in record.values()} == {("Bed", "Bedroom")}
+    assert {e["state"] for e in record.values()} & {"unknown", "unavailable", None} == set(), record
+    assert record["binary_sensor.bed_in_bed"]["state"] == "on"
+    assert record["sensor.bed_night_in_bed_from"]["state"] == "2026-01-01T00:00:00+00:00"
+    report = record["sensor.bed_report"]
     assert report["state"].startswith("Asleep ") and report["attributes"]["address"].endswith("/report.html")
-    assert {name for name, e in told.items() if e["category"] == "diagnostic"} >= {
+    assert {name for name, e in record.items() if e["category"] == "diagnostic"} >= {
         "sensor.bed_frames_seen", "binary_sensor.bed_camera_was_moved", "sensor.bed_night_not_known",
     }  # fmt: skip
     text = re.search(r"```yaml dashboard.yaml\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
-    assert text and cards(YAML(typ="safe").load(text[1])) <= set(told)
+    assert text and cards(YAML(typ="safe").load(text[1])) <= set(record)

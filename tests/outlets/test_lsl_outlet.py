@@ -138,7 +138,7 @@ def test_events_go_out_as_one_field_or_as_numbers(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("outlet", "spec", "told"),
+    ("outlet", "spec", "message"),
     [
         (LslOutlet("x", fields=("cause",)), EVENTS, "events: field"),
         (LslOutlet("x", events="field"), EVENTS, "one of the event's fields"),
@@ -149,8 +149,8 @@ def test_events_go_out_as_one_field_or_as_numbers(name: str) -> None:
         (LslOutlet("x"), StreamSpec((2,), "<c16"), "real numbers"),
     ],
 )
-def test_what_cannot_go_out_is_told_when_the_graph_is_opened(outlet: LslOutlet, spec: StreamSpec, told: str) -> None:
-    with pytest.raises((ParameterError, InputError), match=told):
+def test_what_cannot_go_out_is_told_when_the_graph_is_opened(outlet: LslOutlet, spec: StreamSpec, message: str) -> None:
+    with pytest.raises((ParameterError, InputError), match=message):
         outlet.open({"in": spec})
 
 

@@ -120,8 +120,8 @@ def test_what_is_told_is_retained_and_told_again_when_home_assistant_starts(tmp_
             late.wait_for(config)
             late.wait_for(f"{PREFIX}/asleep/state", "ON")
             late.say("homeassistant/status", "online")
-            late.wait(lambda: sum(topic == config for topic, *_ in late.said) >= 2)
-            late.wait(lambda: sum(topic == f"{PREFIX}/asleep/state" for topic, *_ in late.said) >= 2)
+            late.wait(lambda: sum(topic == config for topic, *_ in late.messages) >= 2)
+            late.wait(lambda: sum(topic == f"{PREFIX}/asleep/state" for topic, *_ in late.messages) >= 2)
         assert len(told(late)) <= 1  # the history is not told again
 
 
@@ -194,18 +194,18 @@ def test_a_new_session_owes_nothing_to_the_former_ones(tmp_path: Path) -> None:
 
 
 def test_a_message_queue_is_bounded_and_survives_in_a_checkpoint() -> None:
-    said: list[str] = []
+    rows: list[str] = []
     messages = MessageQueue(MessageQueueState("s"), lambda topic, text, retain: None)
     for key in range(MOST_MESSAGES + 10):
         messages.post("t", key, f"message {key}")
     assert messages.dropped == 10
-    again = MessageQueue(messages.keep(), lambda topic, text, retain: said.append(text) or len(said))
+    again = MessageQueue(messages.keep(), lambda topic, text, retain: rows.append(text) or len(rows))
     again.open()
-    assert said[0] == "message 10" and len(said) == 16  # at most so many are under way
+    assert rows[0] == "message 10" and len(rows) == 16  # at most so many are under way
     again.delivered(1)
-    assert len(said) == 17
+    assert len(rows) == 17
     again.remembered("t", json.dumps({"session": "s", "key": MOST_MESSAGES}))
-    assert said[-1] != f"message {MOST_MESSAGES}" and json.loads(again.keep().arrived) == {"t": MOST_MESSAGES}
+    assert rows[-1] != f"message {MOST_MESSAGES}" and json.loads(again.keep().arrived) == {"t": MOST_MESSAGES}
     again.remembered("t", json.dumps({"session": "another", "key": MOST_MESSAGES + 9}))
     assert json.loads(again.keep().arrived) == {"t": MOST_MESSAGES}
 
@@ -292,8 +292,8 @@ def test_a_password_in_a_wrong_place_is_refused_and_not_repeated(
     home = f"  home: {{use: devices.mqtt.MqttOutlet, from: board.emg, broker: {broker}, {entities}}}\n"
     (tmp_path / "g.yaml").write_text(board + home)
     for command in (("check",), ("run", "--view", "none", "-o", "s")):
-        code, out, said = kinegraph(command[0], "g.yaml", *command[1:])
-        assert code == 2 and "broker." in said and "hunter2" not in out + said, said
+        code, out, output = kinegraph(command[0], "g.yaml", *command[1:])
+        assert code == 2 and "broker." in output and "hunter2" not in out + output, output
     assert not (tmp_path / "s").exists()
 
 
@@ -352,7 +352,7 @@ def test_the_end_of_a_stream_is_no_life(tmp_path: Path) -> None:
     made = outlet(free_port())
     with running(made):
         made.process("motion", Chunk(np.array([START]), np.array([[1.0, 2.0]]), FOREVER))
-        assert made.runtime.states.told["camera"][0] == "OFF"
+        assert made.runtime.states.sent["camera"][0] == "OFF"
 
 
 def test_a_broker_that_never_answers_holds_nobody_up() -> None:

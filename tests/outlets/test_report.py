@@ -322,17 +322,17 @@ def test_cycles_appear_as_lines_where_there_is_no_terminal(capsys: pytest.Captur
 def test_a_cycle_that_is_told_again_replaces_what_was_told_first(tmp_path: Path) -> None:
     """The second is taken back after the sixth; the fourth, rejected at first, counts after all."""
     walk, ports = Walk(12), tuple(SPECS)
-    told = opened(tmp_path / "twice.html")
-    told.begin()
-    walk.feed(told, 0, 6, ports)
+    reported = opened(tmp_path / "twice.html")
+    reported.begin()
+    walk.feed(reported, 0, 6, ports)
     walk.closed["rejected"][1], walk.closed["rejected"][3] = "irregular", ""
-    walk.feed(told, 1, 2, ("closed", "cycles", "statistics"))
-    walk.feed(told, 3, 4, ("closed", "cycles", "statistics"))
-    walk.feed(told, 6, 12, ports)
+    walk.feed(reported, 1, 2, ("closed", "cycles", "statistics"))
+    walk.feed(reported, 3, 4, ("closed", "cycles", "statistics"))
+    walk.feed(reported, 6, 12, ports)
     once = opened(tmp_path / "once.html")
     once.begin()
     walk.feed(once, 0, 12, ports)
-    (report, curves), (expected, expected_curves) = told.report(), once.report()
+    (report, curves), (expected, expected_curves) = reported.report(), once.report()
     assert (report.accepted, report.rejected) == (expected.accepted, expected.rejected) == (9, 3)
     assert dict(report.reasons) == dict(expected.reasons)
     np.testing.assert_allclose(curves.mean, expected_curves.mean, rtol=1e-12)
@@ -340,7 +340,7 @@ def test_a_cycle_that_is_told_again_replaces_what_was_told_first(tmp_path: Path)
     assert sorted(curves.single[:, 0, 0]) == sorted(expected_curves.single[:, 0, 0])
     for muscle, other in zip(report.muscles, expected.muscles, strict=True):
         np.testing.assert_allclose(muscle.values[:3], other.values[:3], rtol=1e-9)
-    told.close()
+    reported.close()
     once.close()
     assert table(tmp_path / "twice.csv") == table(tmp_path / "once.csv")
 

@@ -105,7 +105,7 @@ def test_the_page_stands_alone() -> None:
 
 def test_the_page_says_what_a_reader_needs() -> None:
     text = " ".join(Page(render(*sample())).text.split())
-    for told in (
+    for reported in (
         "K-017 <script>alert(1)</script>",
         "12 cycles (2 rejected)",
         "57.1 ± 0.9 cadence (strides/min)",
@@ -123,7 +123,7 @@ def test_the_page_says_what_a_reader_needs() -> None:
         "cycles.csv",
         "Amplitudes are not normalised. They depend on electrodes",
     ):
-        assert told in text, told
+        assert reported in text, reported
     assert "Interim" not in text and "uncertain" not in text
 
 
@@ -167,7 +167,9 @@ def test_an_angle_is_drawn_below_zero_and_is_called_no_muscle() -> None:
     assert "−50" in angle and "−50" not in above
     text = " ".join(Page(render(report, below)).text.split())
     assert "Signals over the gait cycle 12 accepted cycles" in text and "Amplitude: deg. Every panel" in text
-    assert not any(told in text for told in ("Linear envelope", "Surface electrodes", "not normalised", "uscle"))
+    assert not any(
+        reported in text for reported in ("Linear envelope", "Surface electrodes", "not normalised", "uscle")
+    )
 
 
 def test_few_cycles_interim_and_normalised() -> None:

@@ -35,9 +35,9 @@ MARK = np.dtype([("onset", "<i8"), ("text", "<U16")])
 EVENTS = StreamSpec((), ONSET, units=("ns",))
 
 
-def marks(*told: tuple[float, str]) -> tuple[StreamSpec, Any, Any]:
-    times = np.array([round(s * NS) for s, _ in told])
-    rows = np.array([(t, text) for t, (_, text) in zip(times.tolist(), told, strict=True)], MARK)
+def marks(*reported: tuple[float, str]) -> tuple[StreamSpec, Any, Any]:
+    times = np.array([round(s * NS) for s, _ in reported])
+    rows = np.array([(t, text) for t, (_, text) in zip(times.tolist(), reported, strict=True)], MARK)
     return StreamSpec((), MARK, units=("ns", "")), times, rows
 
 
@@ -60,9 +60,9 @@ def test_a_ttl_pulse_starts_and_ends_what_is_measured() -> None:
     assert closed["onset"].tolist() == inside[:-1].tolist() and len(inside) > 8
 
 
-@pytest.mark.parametrize(("tail_s", "told"), [(0.0, 8), (0.4, 9)])
+@pytest.mark.parametrize(("tail_s", "expected"), [(0.0, 8), (0.4, 9)])
 def test_a_cycle_that_ends_just_before_the_closing_pulse_is_told_where_the_gate_has_a_tail(
-    tail_s: float, told: int
+    tail_s: float, expected: int
 ) -> None:
     """The pulse comes 20 ms after a touch-down, which is reported another 10 ms later; what began after it is not told."""
     n, touch = 20_000, contacts(np.arange(0.5, 20, 1.1))
@@ -81,8 +81,8 @@ def test_a_cycle_that_ends_just_before_the_closing_pulse_is_told_where_the_gate_
         "closed"
     ][2]
     inside = when[(when >= time[4000]) & (when < close)]
-    assert len(inside) == 10 and closed["onset"].tolist() == inside[:told].tolist()
-    assert closed["rejected"].tolist() == [""] * told
+    assert len(inside) == 10 and closed["onset"].tolist() == inside[:expected].tolist()
+    assert closed["rejected"].tolist() == [""] * expected
 
 
 def test_markers_open_and_close_by_their_text_and_what_was_kept_back_is_lost() -> None:
@@ -161,16 +161,16 @@ def test_start_and_stop_go_out_by_osc_and_lsl() -> None:
                 outlet.process("in", Chunk(stamps(20, 100.0)[first : first + 10], np.zeros((10, 1)), NS))
             outlet.close()
             texts = [str(row[0]) for row in heard.result()]
-        told = [receiver.recv(1024) for _ in range(2)]
+        rows = [receiver.recv(1024) for _ in range(2)]
         inlet.close_stream()
     assert texts == ["start", "stop"]
-    assert [b"/kinegraph/trigger" in data for data in told] == [True, True]
-    assert [data[-4:] for data in told] == [np.array(v, ">f4").tobytes() for v in (1.0, 0.0)]
+    assert [b"/kinegraph/trigger" in data for data in rows] == [True, True]
+    assert [data[-4:] for data in rows] == [np.array(v, ">f4").tobytes() for v in (1.0, 0.0)]
 
 
 def test_what_cannot_give_a_pulse_is_refused_when_the_graph_is_opened() -> None:
     signal = StreamSpec((1,), rate_hz=100.0)
-    for outlet, spec, told in (
+    for outlet, spec, reported in (
         (TriggerOutlet(), signal, "way out"),
         (TriggerOutlet(osc="nowhere"), signal, "HOST:PORT"),
         (TriggerOutlet(osc="a:1", osc_address="x"), signal, "OSC address"),
@@ -178,7 +178,7 @@ def test_what_cannot_give_a_pulse_is_refused_when_the_graph_is_opened() -> None:
         (SessionEnd(), signal, "events"),
         (SessionEnd(text="stop"), EVENTS, "text"),
     ):
-        with pytest.raises(KinegraphError, match=told):
+        with pytest.raises(KinegraphError, match=reported):
             outlet.open({"in": spec})
     missing = TriggerOutlet(serial_port="/dev/there-is-none")
     missing.open({"in": signal})
@@ -268,9 +268,9 @@ def test_a_live_session_begins_and_ends_with_pulses(tail_s: float, tmp_path: Pat
         )
         session = Session(load_text(graph), tmp_path / "w")
         outcome = session.run()
-        told = [receiver.recv(1024)[-4:] for _ in range(2)]
+        rows = [receiver.recv(1024)[-4:] for _ in range(2)]
     assert outcome.error is None and outcome.exit_code == 0
-    assert told == [np.array(v, ">f4").tobytes() for v in (1.0, 0.0)]
+    assert rows == [np.array(v, ">f4").tobytes() for v in (1.0, 0.0)]
     with Recording.open(tmp_path / "w") as recording:
         at, pulses = recording.read("pulses.onset")
         time, _ = recording.read("measured")

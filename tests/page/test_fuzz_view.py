@@ -100,8 +100,8 @@ def tried(path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFi
         keep = Path(os.environ.get("KINEGRAPH_FUZZ_KEEP", path.parent))
         shutil.copy(path, keep / "failed-view.mcap")
         raise AssertionError(f"{what}: {type(error).__name__}: {error}") from error
-    said = capsys.readouterr()
-    assert "Traceback" not in said.out + said.err + caplog.text, (what, said, caplog.text)
+    stderr = capsys.readouterr()
+    assert "Traceback" not in stderr.out + stderr.err + caplog.text, (what, stderr, caplog.text)
     assert time.process_time() - begun < MOST_S, f"{what} took too long"
 
 

@@ -160,11 +160,11 @@ def test_sequences_are_shifted_scaled_and_laid_over_one_another(page: LiveBrowse
     choose(page, "trot0", "trot1")
     page.value("document.getElementById('over').click()")
     page.wait("!!document.querySelector('[data-row=over] canvas')")
-    told = "Number(document.getElementById('difference').textContent.match(/by (\\S+) m/)[1])"
-    found = [page.value(told)]
+    text = "Number(document.getElementById('difference').textContent.match(/by (\\S+) m/)[1])"
+    found = [page.value(text)]
     for shift in np.arange(0.1, 0.75, 0.1):
         put(page, "shift of trot1", round(float(shift), 2))
-        found.append(page.value(told))
+        found.append(page.value(text))
     assert min(found) < 0.5 * max(found), "a trot shifted to its like differs less"
     put(page, "scale of trot1", 2)
     put(page, "time", 1.0)
@@ -292,10 +292,10 @@ def test_the_tasks_of_the_study(page: LiveBrowser) -> None:
     assert counts["walk2"] > 2 * max(n for name, n in counts.items() if name != "walk2"), "T5: the one that stumbles"
     x, y = min(page.like("#pca canvas", "bad", within=60), key=lambda spot: spot[1])  # the top of a ring
     click(page, "#pca canvas", (x + 0.5) / 560, (y + 4.5) / 560)
-    told = page.wait(
+    reported = page.wait(
         "document.getElementById('about').textContent.includes('an outlier') && document.getElementById('about').textContent"
     )
-    at = re.search(r"walk2 at ([\d.]+) s", told)
+    at = re.search(r"walk2 at ([\d.]+) s", reported)
     assert at and STUMBLE.start / 60 <= float(at[1]) <= STUMBLE.stop / 60, "T5: and when it does"
     trots = [name for name in paths if name.startswith("trot")]
     fits = {a: np.mean([alike(paths[a], paths[b]) for b in trots if b != a]) for a in trots}

@@ -79,8 +79,8 @@ def answer(process: PageProcess, path: str, **headers: str) -> tuple[int, dict[s
     connection = http.client.HTTPConnection("127.0.0.1", place.port or 0, timeout=20)
     cookie = f"kinegraph-{place.port}={place.query.removeprefix('token=')}"
     connection.request("GET", path, headers={"Cookie": cookie, **headers})
-    told = connection.getresponse()
-    return told.status, {name.lower(): value for name, value in told.getheaders()}, told.read()
+    reported = connection.getresponse()
+    return reported.status, {name.lower(): value for name, value in reported.getheaders()}, reported.read()
 
 
 @needs_browser
@@ -400,5 +400,5 @@ def test_a_person_pauses_a_replay_steps_changes_its_speed_and_goes_back_and_it_i
             "(s => { s.value = '10'; s.dispatchEvent(new Event('change')); })(document.querySelector('select[aria-label=speed]'))"
         )
         assert browser.complaints == []
-        assert process.process.wait(100) == 0, process.said
-    assert "calf: identical to the recording" in process.said
+        assert process.process.wait(100) == 0, process.output
+    assert "calf: identical to the recording" in process.output

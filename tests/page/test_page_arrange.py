@@ -70,14 +70,14 @@ def test_an_arrangement_can_be_put_into_the_graph(tmp_path: Path) -> None:
             "document.querySelectorAll('.panel')[1].querySelector('canvas')?.getBoundingClientRect().height > 450"
         )
         assert browser.complaints == []
-    told = hello(load_text(written + NODES), outside=False, mode="live", t0_ns=0)["panels"]
-    assert [(p["kind"], p["of"]) for p in told] == [
+    reported = hello(load_text(written + NODES), outside=False, mode="live", t0_ns=0)["panels"]
+    assert [(p["kind"], p["of"]) for p in reported] == [
         ("state", []),
         ("signal", ["calf"]),
         ("events", ["active.interval", "annotations"]),
     ]
-    assert told[0]["wide"] == 2
-    assert {k: told[1][k] for k in ("title", "least", "most", "tall", "window_s")} == {
+    assert reported[0]["wide"] == 2
+    assert {k: reported[1][k] for k in ("title", "least", "most", "tall", "window_s")} == {
         "title": 'a "calf": {x}', "least": -200, "most": 200, "tall": 2, "window_s": 30,
     }  # fmt: skip
     looks_so(tmp_path, written)

@@ -132,16 +132,16 @@ def test_an_avatar_stands_as_the_pose_says(own: bool, recorded: Path, browser: L
                 time = (opened.read("performer.pose")[0] - begin) / NS
             newest = float(time[time <= second + 1e-9][-1])
             browser.wait(f"Math.abs(document.querySelector('.avatar').dataset.at - {newest}) < .001")
-            told = browser.value("document.querySelector('.avatar').dataset.bones")
-            places.append(np.array([[float(v) for v in at.split()] for at in told.split(", ")]))
+            reported = browser.value("document.querySelector('.avatar').dataset.bones")
+            places.append(np.array([[float(v) for v in at.split()] for at in reported.split(", ")]))
             assert np.abs(places[-1] - expected(recorded, avatar, second)).max() < 0.002, second
         assert np.ptp(places, axis=0).max() > 0.1, "it does not move"
         assert browser.colours(".avatar canvas") > 50 and empty > 1, "a shaded body has many colours"
         if not own:
             browser.picture(tmp_path / "page-avatar.png", ".avatar")
         assert browser.complaints == []
-        with urlopen(process.at("avatar.vrm"), timeout=10) as told:
-            assert told.read() == avatar.read_bytes()
+        with urlopen(process.at("avatar.vrm"), timeout=10) as reported:
+            assert reported.read() == avatar.read_bytes()
         for path in ("other.vrm", "avatar.vrm/../me.vrm", "me.vrm"):
             with pytest.raises(HTTPError, match="404"):
                 urlopen(process.at(path), timeout=10)

@@ -188,9 +188,9 @@ def test_a_stream_that_fell_silent_is_greyed_and_says_since_when(browser: LiveBr
         last = recording.streams["over.emg"].last
     found = re.fullmatch(r"nothing for \d+ s, since (\d+:\d+:\d+)", text)
     assert last and found, text
-    stopped, told = datetime.fromtimestamp(last / NS), datetime.strptime(found[1], "%H:%M:%S")
-    told = told.replace(stopped.year, stopped.month, stopped.day)
-    assert ((told - stopped).total_seconds() + 2) % 86400 < 60, (
+    stopped, reported = datetime.fromtimestamp(last / NS), datetime.strptime(found[1], "%H:%M:%S")
+    reported = reported.replace(stopped.year, stopped.month, stopped.day)
+    assert ((reported - stopped).total_seconds() + 2) % 86400 < 60, (
         "it fell silent when it was over, or when the page heard of it"
     )
 

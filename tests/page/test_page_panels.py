@@ -303,8 +303,8 @@ def test_a_frame_has_its_pixels_and_those_without_a_value_are_hatched(
     order = np.argsort(frame[~empty], kind="stable")
     green = pixels[~empty][order][:, 1]
     assert (np.diff(green) >= 0).all(), "farther is not lighter"
-    told = page.value("document.querySelector('[aria-label=\"depth\"] .legend').textContent")
-    assert f"{frame[frame > 0].min() / 1000:.2f}" in told and " m" in told
+    reported = page.value("document.querySelector('[aria-label=\"depth\"] .legend').textContent")
+    assert f"{frame[frame > 0].min() / 1000:.2f}" in reported and " m" in reported
 
 
 PIXELS = """(c => [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data])(

@@ -334,19 +334,19 @@ def test_what_is_wrong_in_the_section_is_told_with_its_line(section: str, words:
 
 def test_panels_are_taken_as_they_are_written() -> None:
     graph = load_text("page: {panels: [{kind: signal, of: board.emg, wide: 2, window_s: 5}, {kind: log}]}\n" + BOARD)
-    told = hello(graph, outside=False, mode="live", t0_ns=0)
-    assert [(p["kind"], p["of"]) for p in told["panels"]] == [("signal", ["board.emg"]), ("log", [])]
-    assert (told["panels"][0]["wide"], told["panels"][0]["window_s"]) == (2, 5)
+    reported = hello(graph, outside=False, mode="live", t0_ns=0)
+    assert [(p["kind"], p["of"]) for p in reported["panels"]] == [("signal", ["board.emg"]), ("log", [])]
+    assert (reported["panels"][0]["wide"], reported["panels"][0]["window_s"]) == (2, 5)
 
 
 def fed(spec: StreamSpec) -> tuple[Hub, list[dict[str, Any]]]:
-    told: list[dict[str, Any]] = []
-    hub = Hub(told.append)
+    rows: list[dict[str, Any]] = []
+    hub = Hub(rows.append)
     greeting = encode(
         {"t": "hello", "mode": "live", "specs": [spec.to_json()], "t0_ns": 0, "streams": [], "panels": []}
     )
     hub.receive(*decode(greeting))
-    return hub, told
+    return hub, rows
 
 
 def give(hub: Hub, chunk: Chunk) -> None:
@@ -356,12 +356,12 @@ def give(hub: Hub, chunk: Chunk) -> None:
 
 
 def test_a_client_gets_all_that_it_has_not_been_sent_and_a_slow_one_gets_it_at_once() -> None:
-    hub, told = fed(SIGNAL)
+    hub, reported = fed(SIGNAL)
     quick, slow = Looking(), Looking()
     hub.clients |= {quick, slow}
     for client in (quick, slow):
         hub.take(client, asked('{"do": "see", "streams": {"0": 0}}'))
-    assert told[-1] == {"do": "want", "streams": [0], "seen": True}
+    assert reported[-1] == {"do": "want", "streams": [0], "seen": True}
     quick.news.clear()
     counts = []
     for k in range(10):
@@ -407,9 +407,9 @@ def test_a_pose_is_told_as_its_joints() -> None:
     found, turned = np.split(np.frombuffer(numbers, "<f4"), [3 * len(tree.joints)])
     assert np.allclose(found.reshape(-1, 3), joints_of(tree, pose[None])[1][0], atol=1e-6)
     assert np.allclose(turned, pose[3:], atol=1e-6)
-    told = described("pose", tree.spec(30.0))
-    assert told["channels"] == list(tree.joints)
-    assert [[int(p), j] for j, p in enumerate(tree.parents) if p >= 0] == told["bones"]
+    reported = described("pose", tree.spec(30.0))
+    assert reported["channels"] == list(tree.joints)
+    assert [[int(p), j] for j, p in enumerate(tree.parents) if p >= 0] == reported["bones"]
 
 
 def test_a_mesh_with_a_vertex_that_is_missing_says_which() -> None:
@@ -452,7 +452,7 @@ def test_metrics_are_openmetrics() -> None:
 def test_every_message_stands_in_the_docs() -> None:
     """What the server sends and takes, as the page's own TypeScript and the decoder know it."""
     folder = Path(__file__).resolve().parents[2]
-    told = (
+    reported = (
         (folder / "docs" / "extend" / "panel.md")
         .read_text(encoding="utf-8")
         .partition("## Messages")[2]
@@ -461,10 +461,10 @@ def test_every_message_stands_in_the_docs() -> None:
     wire = (folder / "devices/page/web/wire.ts").read_text(encoding="utf-8")
     sent = {name for line in re.findall(r"\bt: ((?:\"\w+\"(?: \| )?)+)", wire) for name in re.findall(r"\w+", line)}
     assert len(sent) > 12
-    assert {name for name in sent if f"`{name}`" not in told} == set()
+    assert {name for name in sent if f"`{name}`" not in reported} == set()
     asked_for = {kind.__struct_config__.tag for kind in get_args(Asked)}
     assert len(asked_for) > 6
-    assert {name for name in asked_for if f'"do": "{name}"' not in told} == set()
+    assert {name for name in asked_for if f'"do": "{name}"' not in reported} == set()
 
 
 SHIPPED = {
@@ -478,7 +478,7 @@ SHIPPED = {
 
 @pytest.mark.parametrize(("name", "kinds"), SHIPPED.items())
 def test_the_pages_of_the_shipped_graphs(name: str, kinds: set[str]) -> None:
-    told = hello(load(Path(name)), outside=False, mode="live", t0_ns=0)
-    assert {panel["kind"] for panel in told["panels"]} == kinds
-    assert not [panel for panel in told["panels"] if panel["missing"]]
-    assert not [stream["name"] for stream in told["streams"] if stream["kind"] == "frame"]
+    reported = hello(load(Path(name)), outside=False, mode="live", t0_ns=0)
+    assert {panel["kind"] for panel in reported["panels"]} == kinds
+    assert not [panel for panel in reported["panels"] if panel["missing"]]
+    assert not [stream["name"] for stream in reported["streams"] if stream["kind"] == "frame"]

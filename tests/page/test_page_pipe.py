@@ -97,10 +97,10 @@ def chunk(k: int, n: int = 1) -> Chunk:
 
 def handed_over(ends: PipeEnds) -> list[tuple[str, list[float], int]]:
     """What arrived but ticks: of chunks the samples and what was lost before them."""
-    told = [decode(message) for message in ends.read()]
+    rows = [decode(message) for message in ends.read()]
     return [
         (h["t"], np.frombuffer(n, np.float64, offset=8 * h.get("n", 0)).tolist(), h.get("lost", 0))
-        for h, n in told
+        for h, n in rows
         if h["t"] != "tick"
     ]
 
@@ -132,14 +132,14 @@ def test_a_server_that_stands_still_costs_views_and_no_more_memory(ends: PipeEnd
         put(chunk(k, 10_000))
     assert channel.dropped > 400
     assert not channel.hand_over([encode({"t": "state"})])
-    told = handed_over(ends)
+    reported = handed_over(ends)
     for _ in range(20):
         channel.hand_over()
-        told += handed_over(ends)
-    seen = [values[0] for _, values, _ in told] + [values[-1] for _, values, _ in told[-1:]]
+        reported += handed_over(ends)
+    seen = [values[0] for _, values, _ in reported] + [values[-1] for _, values, _ in reported[-1:]]
     assert seen == sorted(seen) and seen[-1] == 499
-    assert sum(len(values) for _, values, _ in told) == 10_000 * (500 - channel.dropped)
-    assert [lost for _, _, lost in told].count(-1) == 1, "the line has a gap where views were dropped"
+    assert sum(len(values) for _, values, _ in reported) == 10_000 * (500 - channel.dropped)
+    assert [lost for _, _, lost in reported].count(-1) == 1, "the line has a gap where views were dropped"
 
 
 def test_a_server_that_ends_costs_its_views_and_nothing_else(ends: PipeEnds) -> None:

@@ -210,8 +210,8 @@ def test_a_spectrum_is_welchs_of_the_muscles(page: LiveBrowser, shown: Shown) ->
     least = max(most - 80, np.floor(level.min() / 10) * 10)
     page.value("[...document.querySelectorAll('.signal canvas')].at(-1).id = 'analysis'")
     width, height = page.value("(c => [c.width, c.height])(document.getElementById('analysis'))")
-    told = float(page.value("document.querySelector('.signal').dataset.peak"))
-    assert abs(told - loudest(level) * 1000 / size) < 0.01
+    reported = float(page.value("document.querySelector('.signal').dataset.peak"))
+    assert abs(reported - loudest(level) * 1000 / size) < 0.01
     found = np.array(page.like("#analysis", shades(page)[12 % 12], within=60))  # the last line lies over the others
     x = FIRST + (width - FIRST - 8) * np.arange(len(level)) / (len(level) - 1)
     y = 6 + (height - 26) * (1 - np.maximum(0, (level[:, 12] - least) / (most - least)))
@@ -260,8 +260,8 @@ def test_touch_downs_stand_where_they_were_and_in_the_table(page: LiveBrowser, s
     )
     expected = 118 + (inside - 2) / SPAN_S * (width - 118)
     assert all(np.abs(bars - x).min() < 2 for x in expected) and all(np.abs(expected - x).min() < 3 for x in bars)
-    told = page.value("[...document.querySelectorAll('.table tbody tr')].map(r => r.cells[0].textContent)")
-    seconds = [float(text[-6:]) for text in told]
+    reported = page.value("[...document.querySelectorAll('.table tbody tr')].map(r => r.cells[0].textContent)")
+    seconds = [float(text[-6:]) for text in reported]
     before = onset[onset <= 3.0][::-1]
     assert np.allclose(seconds, (shown.begin / NS % 60 + before) % 60, atol=2e-3)
 
@@ -287,8 +287,8 @@ def test_an_avatar_stands_as_the_captured_body_did(page: LiveBrowser, shown: Sho
     moved[:3] *= leg(avatar) / leg(body)
     bones = [BONES.index(bone) for bone in ("LeftHand", "RightHand", "Head")]
     expected = joints_of(avatar, moved[None])[1][0, bones]
-    told = page.value("document.querySelector('.avatar').dataset.bones")
-    found = np.array([[float(v) for v in bone.split()] for bone in told.split(", ")])
+    reported = page.value("document.querySelector('.avatar').dataset.bones")
+    found = np.array([[float(v) for v in bone.split()] for bone in reported.split(", ")])
     assert np.abs(found - expected).max() < 0.01, (found, expected)
     assert page.colours(".avatar canvas") > 30
 
@@ -358,8 +358,8 @@ def test_a_replay_shows_its_rates_in_table_and_graph_and_what_the_session_told(
         drawn = "[...document.querySelectorAll('.graph svg text')].map(t => t.textContent)"
         assert nodes <= set(browser.value(drawn))
         browser.wait(f"{drawn}.filter(t => /^[1-9][0-9.]*\\/s/.test(t)).length >= 8")
-        told = browser.value("document.querySelector('.log').textContent")
-        assert "source reopened: node treadmill, opening 2" in told
+        reported = browser.value("document.querySelector('.log').textContent")
+        assert "source reopened: node treadmill, opening 2" in reported
 
 
 NIGHT = """

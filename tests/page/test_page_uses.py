@@ -200,8 +200,8 @@ def test_left_stands_beside_right_and_stages_begin_and_end_from_the_page(browser
     with Recording.open(tmp_path / "s") as recording:
         stages = recording.read("stages.stages")[1]["stage"].tolist()
         closed = recording.read("stages.closed")[1]["stage"].tolist()
-        said = recording.read("annotations")[1]["text"].tolist()
-    assert said == ["end stage", "stage uphill"]
+        reported = recording.read("annotations")[1]["text"].tolist()
+    assert reported == ["end stage", "stage uphill"]
     assert stages == ["warm-up", "", "uphill"] and closed[-1] == "uphill"
     verify = [KINEGRAPH, "replay", "legs.yaml", "s", "--verify", "-q"]
     done = subprocess.run(verify, cwd=tmp_path, capture_output=True, text=True)

@@ -127,11 +127,11 @@ def test_without_an_overview_there_is_a_picture_at_once_and_the_rest_comes_with_
         number = hub.names.index("emg")
         near = hub.seen(number, look(10, 20, 15))
         assert near and decode(near)[0]["n"] > 900 and not hub.pyramids
-        told: list[bytes] = []
-        hub.build(told.append)
-        shares = [header["share"] for header, _ in map(decode, told) if header["t"] == "progress"]
+        rows: list[bytes] = []
+        hub.build(rows.append)
+        shares = [header["share"] for header, _ in map(decode, rows) if header["t"] == "progress"]
         assert len(shares) > 10 and shares == sorted(shares) and shares[-1] == 1
-        gaps = [header["gaps"] for header, _ in map(decode, told) if header["t"] == "gaps" and header["s"] == number]
+        gaps = [header["gaps"] for header, _ in map(decode, rows) if header["t"] == "gaps" and header["s"] == number]
         assert [round(begin) for begin, _ in gaps[-1]] == [GAP_S]
         assert hub.seen(number, look(0, 40, 20, points=200))
 

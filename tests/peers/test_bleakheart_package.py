@@ -19,23 +19,23 @@ bleakheart = pytest.importorskip("bleakheart")
 
 async def _listen(air: SimulatedRadio) -> tuple[list[Any], list[Any]]:
     """Frames as bleakheart tells them, and the bytes that they were made from."""
-    told: list[Any] = []
+    rows: list[Any] = []
     came: list[Any] = []
     device = await bleak.BleakScanner.find_device_by_name("Polar H10 12345678", backend=air.scanner)
     async with bleak.BleakClient(device, backend=air.client) as client:
-        heart = bleakheart.HeartRate(client, callback=told.append)
-        measured = bleakheart.PolarMeasurementData(client, callback=told.append)
+        heart = bleakheart.HeartRate(client, callback=rows.append)
+        measured = bleakheart.PolarMeasurementData(client, callback=rows.append)
         for one, name in ((heart, "_handler"), (measured, "_pmd_data_handler")):
             _keep(one, name, came)
         await heart.start_notify()
         for kind, settings in (("ECG", {}), ("ACC", {"RANGE": 8, "SAMPLE_RATE": 200})):
             error, text, _ = await measured.start_streaming(kind, **settings)
             assert error == 0, text
-        while {"HR", "ECG", "ACC"} - {frame[0] for frame in told}:
+        while {"HR", "ECG", "ACC"} - {frame[0] for frame in rows}:
             await asyncio.sleep(0.02)
         for kind in ("ECG", "ACC"):
             await measured.stop_streaming(kind)
-    return told, came
+    return rows, came
 
 
 def _keep(one: Any, name: str, came: list[Any]) -> None:
@@ -53,10 +53,10 @@ def test_bleakheart_reads_what_we_read() -> None:
     with radio() as air:
         belt = PolarBelt()
         air.put(belt)
-        told, came = asyncio.run(_listen(air))
+        output, came = asyncio.run(_listen(air))
     decoder = PmdDecoder()
     compared = set()
-    for (kind, _, payload, *_rest), data in zip(told, came, strict=True):
+    for (kind, _, payload, *_rest), data in zip(output, came, strict=True):
         compared.add(kind)
         if kind == "HR":
             ours = heart_rate.parse(data)

@@ -59,9 +59,9 @@ TARGETS = {
 
 @pytest.mark.parametrize("module", TARGETS)
 def test_no_bytes_are_found_that_break_it(module: str, tmp_path: Path) -> None:
-    make, said = TARGETS[module]
+    make, reported = TARGETS[module]
     program = tmp_path / "fuzz.py"
-    program.write_text(PROGRAM.format(module=module, make=make, said=said), encoding="utf-8")
+    program.write_text(PROGRAM.format(module=module, make=make, said=reported), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, str(program), f"-max_total_time={SECONDS}", "-max_len=2048", "-verbosity=0"],
         capture_output=True,

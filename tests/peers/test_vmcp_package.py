@@ -42,15 +42,15 @@ def test_vmcp_hears_every_bone_the_time_and_the_face(most: int) -> None:
         outlet.process("pose", Chunk(np.array([1]), broken, 1))
         for k, pose in enumerate(POSES):
             outlet.process("pose", Chunk(np.array([k * 10**9 // 30 + 1]), pose[None], 0))
-        told = [json.loads(line) for line in process.communicate(timeout=60)[0].splitlines()]
+        record = [json.loads(line) for line in process.communicate(timeout=60)[0].splitlines()]
         outlet.close()
-    bones = [(name, row) for kind, name, row in told if kind == "BoneTransformEvent"]
+    bones = [(name, row) for kind, name, row in record if kind == "BoneTransformEvent"]
     assert [name for name, _ in bones] == [*BONES] * len(POSES), "the broken pose is not sent, and no bone is missing"
     for k, pose in enumerate(POSES):
         rows = np.array([row for _, row in bones[k * len(BONES) : (k + 1) * len(BONES)]])
         places = np.vstack([pose[:3], TREE.offsets[1:]]) * [-1, 1, 1]
         turns = pose[3:].reshape(-1, 4)[:, [1, 2, 3, 0]] * [1, -1, -1, 1]
         assert np.allclose(rows[:, :3], places, atol=1e-6) and np.allclose(rows[:, 3:], turns, atol=1e-6)
-    of = {kind: [row for k, _, row in told if k == kind] for kind, _, _ in told}
+    of = {kind: [row for k, _, row in record if k == kind] for kind, _, _ in record}
     assert np.allclose(np.ravel(of["RelativeTimeEvent"]), np.arange(4) / 30, atol=1e-6)
     assert of["BlendShapeEvent"] == [[0.25]] * 4 and len(of["BlendShapeApplyEvent"]) == len(of["StateEvent"]) == 4

@@ -35,19 +35,19 @@ def test_a_disk_that_fills_up_while_files_are_made(
 ) -> None:
     if command == "import":
         np.savez(tmp_path / "t.npz", a=np.random.default_rng(1).normal(size=(50_000, 2)))
-        told = kinegraph("files", "import", "t.npz", "-o", "t.mcap", "--stream", "x=a", "--rate", "1000")
+        output = kinegraph("files", "import", "t.npz", "-o", "t.mcap", "--stream", "x=a", "--rate", "1000")
         assert not (tmp_path / "t.mcap").exists()
     else:
-        told = kinegraph("replay", made / "graph.yaml", made / "s", "-o", "again", "-q")
-    refused(told, "not everything could be written (No space left on device)", "free some space")
-    assert "the session goes on" not in told[2]
+        output = kinegraph("replay", made / "graph.yaml", made / "s", "-o", "again", "-q")
+    refused(output, "not everything could be written (No space left on device)", "free some space")
+    assert "the session goes on" not in output[2]
 
 
 @pytest.mark.usefixtures("full_disk")
 def test_a_disk_that_fills_up_during_a_session(kinegraph: Command, made: Path) -> None:
-    told = kinegraph("run", made / "graph.yaml", *QUIET, "-o", "s")
-    refused(told, "the recording cannot be written; the session goes on", "No space left on device", code=5)
-    assert re.search(r"recording: the last \d\.\d s could not be written and are lost", told[2]), (
+    output = kinegraph("run", made / "graph.yaml", *QUIET, "-o", "s")
+    refused(output, "the recording cannot be written; the session goes on", "No space left on device", code=5)
+    assert re.search(r"recording: the last \d\.\d s could not be written and are lost", output[2]), (
         "and not all since 1970"
     )
 

@@ -33,8 +33,8 @@ def test_it_is_replayed_bit_for_bit_with_the_renamed_graph(kinegraph: Command) -
     session = OLD / "session.0000.mcap"
     refused(kinegraph("replay", OLD / "graph.yaml", session), "devices.treadmill", "devices.outlets.csv_file.CsvFile")
     Path("new.yaml").write_text(renamed(OLD / "graph.yaml"))
-    code, told, _ = kinegraph("replay", "new.yaml", session, "--verify")
-    assert code == 0 and told.count("identical to the recording") == 3
+    code, output, _ = kinegraph("replay", "new.yaml", session, "--verify")
+    assert code == 0 and output.count("identical to the recording") == 3
     with Recording.open(session) as recording:
         assert recording.streams["board.emg"].samples == 900 and recording.streams["board.emg"].gaps == 1
 
@@ -42,8 +42,8 @@ def test_it_is_replayed_bit_for_bit_with_the_renamed_graph(kinegraph: Command) -
 def test_what_was_killed_then_is_not_resumed_across_the_change(kinegraph: Command) -> None:
     Path("new.yaml").write_text(renamed(OLD / "killed" / "graph.yaml"))
     shutil.copytree(OLD / "killed", "session")
-    told = kinegraph("run", "new.yaml", "--resume", "-o", "session", "--view", "none")
-    refused(told, "another version of kinegraph", "cannot be resumed", "can be replayed")
+    output = kinegraph("run", "new.yaml", "--resume", "-o", "session", "--view", "none")
+    refused(output, "another version of kinegraph", "cannot be resumed", "can be replayed")
     assert kinegraph("replay", "new.yaml", "session", "--verify")[0] == 6, "as far as it goes, and equal that far"
 
 

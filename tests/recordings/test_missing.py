@@ -44,9 +44,9 @@ def cut(kinegraph: Command, tmp_path: Path) -> Path:
 
 
 def test_replay_of_a_cut_recording_says_what_is_missing(kinegraph: Command, cut: Path) -> None:
-    told = kinegraph("replay", "graph.yaml", cut, "-q")
-    refused(told, str(cut), "was not closed cleanly", "not a complete record", code=INCOMPLETE)
-    seconds = re.search(r"at least ([\d.]+) s", told[2])
+    output = kinegraph("replay", "graph.yaml", cut, "-q")
+    refused(output, str(cut), "was not closed cleanly", "not a complete record", code=INCOMPLETE)
+    seconds = re.search(r"at least ([\d.]+) s", output[2])
     with Recording.open(cut) as recording:
         assert recording.missing and recording.missing.bytes > 0
         assert seconds and float(seconds[1]) == pytest.approx(recording.missing.seconds, abs=0.05)

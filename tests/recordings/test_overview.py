@@ -172,8 +172,8 @@ def test_the_kernels_find_what_a_pass_by_numpy_finds() -> None:
     assert np.array_equal(found.low, np.fmin.reduceat(values, starts), equal_nan=True)
     assert np.array_equal(found.high, np.fmax.reduceat(values, starts), equal_nan=True)
     begins = np.cumsum(rows[:, 0]) - rows[:, 0]
-    told = set(begins[(rows[:, 2] != 0) & (rows[:, 0] > 0)].tolist())
-    torn = [i for i in range(4000) if i in told or (i and times[i] - times[i - 1] > 2 * period)]
+    reported = set(begins[(rows[:, 2] != 0) & (rows[:, 0] > 0)].tolist())
+    torn = [i for i in range(4000) if i in reported or (i and times[i] - times[i - 1] > 2 * period)]
     assert found.gaps == [(int(times[max(i - 1, 0)]), int(times[i])) for i in torn] and len(torn) > 40
 
 

@@ -178,17 +178,17 @@ def test_the_size_that_is_told_is_that_of_all_files_so_far(tmp_path: Path) -> No
     options = RecordingOptions(rotate_mb=0.02, flush_s=0.0, gather_s=0.005)
     recorder = Recorder(tmp_path / "s", {}, options, wait=True)
     numbers = {name: recorder.add_stream(name, spec, "input") for name, spec in SPECS.items()}
-    told, parts = [0], set[int]()
+    rows, parts = [0], set[int]()
     for sequence, (name, chunk, arrival) in enumerate(session(seconds=2.0)):
         recorder.write(numbers[name], chunk, arrival, sequence)
         if sequence % 10 == 0:
             recorder.flush()
-            told.append(recorder.status.bytes)
+            rows.append(recorder.status.bytes)
             parts.add(recorder.part)
             on_disk = sum(path.stat().st_size for path in (tmp_path / "s").glob("session.*.mcap"))
-            assert told[-1] <= on_disk <= told[-1] + 20_000
+            assert rows[-1] <= on_disk <= rows[-1] + 20_000
     recorder.close()
-    assert told == sorted(told) and len(parts) > 2
+    assert rows == sorted(rows) and len(parts) > 2
     assert recorder.status.bytes == sum(path.stat().st_size for path in (tmp_path / "s").glob("session.*.mcap"))
 
 

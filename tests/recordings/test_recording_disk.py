@@ -125,8 +125,8 @@ def test_a_full_disk_and_full_memory_drop_and_count(tmp_path: Path, disk: Disk) 
         assert recording.finished
         assert_holes_are_told(recording, dropped)
         assert recording.last_samples("board") == 540 * 50
-        told = [line["chunks"]["board"] for line in recording.log if line["kind"] == "recorder dropped"]
-        assert sum(told) == dropped
+        lines = [line["chunks"]["board"] for line in recording.log if line["kind"] == "recorder dropped"]
+        assert sum(lines) == dropped
 
 
 def test_closing_on_a_disk_that_stays_full_ends_and_leaves_a_readable_file(

@@ -97,10 +97,10 @@ def test_every_use_can_be_run_for_so_many_hours_as_fast_as_it_goes(use: Use, tmp
     }
 
 
-@pytest.mark.parametrize(("leak", "told"), [(0, 0), (1, 1)])
-def test_a_file_that_stays_open_is_a_leak_and_one_for_a_moment_is_none(leak: int, told: int) -> None:
+@pytest.mark.parametrize(("leak", "expected"), [(0, 0), (1, 1)])
+def test_a_file_that_stays_open_is_a_leak_and_one_for_a_moment_is_none(leak: int, expected: int) -> None:
     looks = [Held(1000, 10 + (i == 900) + leak * (i > 700), 9) for i in range(1000)]
-    assert len(growth(USES[0], looks, 1.0, 0).complaints) == told
+    assert len(growth(USES[0], looks, 1.0, 0).complaints) == expected
 
 
 def test_a_page_whose_session_was_killed_says_nothing_of_it() -> None:

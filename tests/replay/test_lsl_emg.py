@@ -27,9 +27,9 @@ def test_the_envelopes_are_scipys_whatever_the_markers_say() -> None:
     graph = kg.load("lsl_emg")
     stamps = np.round(WALK["touchdown_s"] * NS).astype(np.int64)
     spec = graph.specs["markers"]
-    said = np.array([(stamp, "touch-down") for stamp in stamps], spec.dtype)
+    reported = np.array([(stamp, "touch-down") for stamp in stamps], spec.dtype)
     emg = signal(EMG, 1000.0, CHANNELS, ["uV"], time_s=WALK["t_s"])
-    live = graph.run({"emg": emg, "markers": kg.Series("", spec, stamps, said)})["envelope"]
+    live = graph.run({"emg": emg, "markers": kg.Series("", spec, stamps, reported)})["envelope"]
     offline = at(live, WALK["t_s"], emg_envelope(EMG, 1000.0))
     assert live.spec.channels == CHANNELS
     np.testing.assert_allclose(live.data[24:-24], offline[24:-24], atol=0.003 * offline.max())

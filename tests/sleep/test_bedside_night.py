@@ -76,7 +76,7 @@ def over(process: subprocess.Popen[str], *, killed: bool = False) -> int:
 
 def history(client: Listener) -> list[tuple[int, str]]:
     """(onset, state) of every final epoch that was reported, as it came; what a new listener is sent again first is left out."""
-    told = [json.loads(text) for topic, text, retained in client.said if topic == HISTORY and not retained]
+    told = [json.loads(text) for topic, text, retained in client.messages if topic == HISTORY and not retained]
     return [(epoch["key"], epoch["state"]) for epoch in told]
 
 
@@ -97,8 +97,8 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
         process = start(config, session, "--resume")
         assert over(process) == 0, (tmp_path / "log.txt").read_text()[-3000:]
         told = history(client)
-        entities = {t: json.loads(x) for t, x, _ in client.said if t.startswith("homeassistant/")}
-        said = {topic: text for topic, text, _ in client.said}
+        entities = {t: json.loads(x) for t, x, _ in client.messages if t.startswith("homeassistant/")}
+        said = {topic: text for topic, text, _ in client.messages}
 
     onsets = [onset for onset, _ in told]
     assert onsets == sorted(set(onsets)), "an epoch was reported twice, or out of turn"

@@ -26,9 +26,9 @@ def test_nothing_is_lost_or_doubled_by_kill_9(tmp_path: Path, at: int) -> None:
     """The checkpoint is ten epochs old when the process is killed; a row is torn by the power cut."""
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
-    feed(log, night.told(0, at - 10))
+    feed(log, night.chunks(0, at - 10))
     checkpoint = log.snapshot()
-    feed(log, night.told(at - 10, at))
+    feed(log, night.chunks(at - 10, at))
     assert log.runtime.writer and log.runtime.writer.night
     folder = log.runtime.writer.night.folder
     before = logged(folder)
@@ -44,9 +44,9 @@ def test_nothing_is_lost_or_doubled_by_kill_9(tmp_path: Path, at: int) -> None:
     again.keep_time(clock)
     again.begin()
     assert logged(folder) == before
-    feed(again, night.told(at - 10, at))  # what is worked through again
+    feed(again, night.chunks(at - 10, at))  # what is worked through again
     assert logged(folder) == before
-    feed(again, chain(night.told(at), night.end()))
+    feed(again, chain(night.chunks(at), night.end()))
     again.close()
     assert logged(folder) == states(night, night.inn)
     facts = archive.Facts.load(folder)
@@ -56,7 +56,7 @@ def test_nothing_is_lost_or_doubled_by_kill_9(tmp_path: Path, at: int) -> None:
 def test_a_restart_without_resume_goes_on_with_the_night(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
-    feed(log, night.told(0, 200))
+    feed(log, night.chunks(0, 200))
     log.close()
     (folder,) = (path for path, _ in archive.nights(tmp_path))
     assert not archive.Facts.load(folder).closed
@@ -65,7 +65,7 @@ def test_a_restart_without_resume_goes_on_with_the_night(tmp_path: Path) -> None
     clock.utc_ns = night.onset(220)
     again.keep_time(clock)
     again.begin()
-    feed(again, chain(night.told(220), night.end()))
+    feed(again, chain(night.chunks(220), night.end()))
     again.close()
     assert len(archive.nights(tmp_path)) == 1
     facts = archive.Facts.load(folder)
@@ -80,16 +80,16 @@ def test_a_night_that_is_ahead_of_the_clock_is_left_as_it_is(tmp_path: Path) -> 
     clock.utc_ns = night.onset(0)
     log.keep_time(clock)
     log.begin()
-    feed(log, night.told(0, 200))
+    feed(log, night.chunks(0, 200))
     checkpoint = log.snapshot()
-    feed(log, night.told(200, 220))
+    feed(log, night.chunks(200, 220))
     log.close()
     again = opened(tmp_path, report=False)
     again.restore(checkpoint)
     clock.utc_ns = night.onset(3)  # it goes faster than time
     again.keep_time(clock)
     again.begin()
-    feed(again, chain(night.told(200), night.end()))
+    feed(again, chain(night.chunks(200), night.end()))
     again.close()
     (first, _), (second, facts) = archive.nights(tmp_path)
     assert logged(first) == states(Night(), night.inn) and logged(second) == states(night, night.inn)
@@ -99,10 +99,10 @@ def test_a_night_that_is_ahead_of_the_clock_is_left_as_it_is(tmp_path: Path) -> 
 def test_what_was_final_is_never_changed(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
-    feed(log, night.told(0, 200))
+    feed(log, night.chunks(0, 200))
     before = (tmp_path / "2025-12-31" / archive.EPOCHS).read_bytes()
     other = Night(seed=9)
-    feed(log, other.told(0, 200))
+    feed(log, other.chunks(0, 200))
     assert (tmp_path / "2025-12-31" / archive.EPOCHS).read_bytes() == before
     log.close()
 
@@ -110,7 +110,7 @@ def test_what_was_final_is_never_changed(tmp_path: Path) -> None:
 def test_rows_wait_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
-    feed(log, night.told(0, 100))
+    feed(log, night.chunks(0, 100))
     write, full = os.pwrite, True
 
     def pwrite(handle: int, data: bytes, offset: int) -> int:
@@ -119,13 +119,13 @@ def test_rows_wait_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.Mo
         return write(handle, data, offset)
 
     monkeypatch.setattr(os, "pwrite", pwrite)
-    feed(log, night.told(100, 250))
+    feed(log, night.chunks(100, 250))
     folder = tmp_path / "2025-12-31"
     assert len(logged(folder)) == 100 - LATE - night.inn
     full = False
     assert log.runtime.writer and log.runtime.writer.night
     log.runtime.writer.night.file._retry_at = 0.0
-    feed(log, chain(night.told(250), night.end()))
+    feed(log, chain(night.chunks(250), night.end()))
     log.close()
     assert logged(folder) == states(night, night.inn)
 
@@ -135,7 +135,7 @@ def test_a_night_that_ends_while_the_disk_is_full_gets_its_numbers_later(
 ) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
-    feed(log, night.told(0, 400))
+    feed(log, night.chunks(0, 400))
     save, full = archive.Facts.save, True
 
     def saved(facts: archive.Facts, folder: Path) -> None:
@@ -144,7 +144,7 @@ def test_a_night_that_ends_while_the_disk_is_full_gets_its_numbers_later(
         save(facts, folder)
 
     monkeypatch.setattr(archive.Facts, "save", saved)
-    feed(log, chain(night.told(400), night.end()))
+    feed(log, chain(night.chunks(400), night.end()))
     ((_, facts),) = archive.nights(tmp_path)
     assert not facts.closed and not facts.numbers
     full = False
@@ -159,9 +159,9 @@ def test_a_night_that_ends_while_the_disk_is_full_gets_its_numbers_later(
 def test_a_night_that_is_deleted_while_it_goes_on_goes_on_in_another_folder(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path)
     log.begin()
-    feed(log, night.told(0, 300))
+    feed(log, night.chunks(0, 300))
     archive.remove(tmp_path / "2025-12-31")
-    feed(log, chain(night.told(300), night.end()))
+    feed(log, chain(night.chunks(300), night.end()))
     log.close()
     ((folder, facts),) = archive.nights(tmp_path)
     assert logged(folder) == states(night, 300 - LATE) and facts.begun == night.onset(300 - LATE)
@@ -175,7 +175,7 @@ def test_nights_are_separated_and_old_ones_deleted(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     for day in range(4):
         night = Night(n=160, out=140)
-        for port, chunk in chain(night.told(), night.end()):
+        for port, chunk in chain(night.chunks(), night.end()):
             shift = day * 86_400 * NS
             chunk.time = chunk.time + shift
             if chunk.data.dtype.names:
@@ -193,7 +193,7 @@ def test_an_empty_bed_is_no_night(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     night.bed[:] = "out"
     log.begin()
-    feed(log, night.told())
+    feed(log, night.chunks())
     log.close()
     assert archive.nights(tmp_path) == []
 
@@ -203,7 +203,7 @@ def test_two_short_times_in_bed_far_apart_are_two_nights(tmp_path: Path) -> None
     night.bed[:] = "out"
     night.bed[50:60] = night.bed[600:690] = "in"
     log.begin()
-    feed(log, night.told())
+    feed(log, night.chunks())
     log.close()
     assert [path.name for path, _ in archive.nights(tmp_path)] == ["2025-12-31", "2025-12-31-2"]
 
@@ -212,7 +212,7 @@ def test_actigraphy_alone_makes_a_night(tmp_path: Path) -> None:
     log = opened(tmp_path, ("epochs", "nights", "lights"), report=False)
     night = Night(n=200, out=180)
     log.begin()
-    feed(log, chain(night.told(), night.end()))
+    feed(log, chain(night.chunks(), night.end()))
     log.close()
     (folder,) = (path for path, _ in archive.nights(tmp_path))
     assert logged(folder) == states(night) and archive.Facts.load(folder).closed
@@ -258,7 +258,7 @@ def test_a_night_that_cannot_be_read_can_be_deleted_and_is_forgotten(
     os.utime(tmp_path / "2025-01-02", (1, 1))
     night, log = Night(n=160, out=140), opened(tmp_path, report=False, keep_days=2.0)
     log.begin()
-    feed(log, chain(night.told(), night.end()))
+    feed(log, chain(night.chunks(), night.end()))
     log.close()
     assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["2025-01-03", "2025-12-31"]
 
@@ -271,7 +271,7 @@ def test_an_old_night_that_cannot_be_deleted_ends_nothing(tmp_path: Path, monkey
 
     monkeypatch.setattr(archive.shutil, "rmtree", refused)
     log.begin()
-    feed(log, chain(night.told(), night.end()))
+    feed(log, chain(night.chunks(), night.end()))
     log.close()
     ((_, facts),) = archive.nights(tmp_path)
     assert facts.closed and facts.numbers
@@ -308,19 +308,19 @@ def test_the_lights_end_a_night_though_somebody_stays_in_bed(tmp_path: Path) -> 
     night, log = Night(n=300, out=280), opened(tmp_path, report=False)
     night.bed[150:280] = "in"
     log.begin()
-    feed(log, night.told(0, 200))
+    feed(log, night.chunks(0, 200))
     log.process("lights", night_made.event(SPECS["lights"].dtype, night.onset(200), True))
     (row,) = (chunk for port, chunk in night.end() if port == "nights")
     row.data["end"], row.data["estimated"], row.data["bed"] = night.onset(190), False, "lights"
     log.process("nights", row)
-    feed(log, night.told(200))
+    feed(log, night.chunks(200))
     ((folder, facts),) = archive.nights(tmp_path)
     assert facts.closed and facts.switched == [[night.onset(200), "lights on"]]
     assert len(logged(folder)) == 200 - LATE - night.inn
     rows = {r.name: r for r in table(facts, archive.read_epochs(folder))}
     assert "Sleep onset latency (SOL)" in rows and rows["Time in bed (TIB)"].meaning == "lights off to lights on"
     later = Night(n=2000, inn=1800, out=1990)
-    feed(log, later.told(1790, 1900))
+    feed(log, later.chunks(1790, 1900))
     log.close()
     assert len(archive.nights(tmp_path)) == 2
 
@@ -330,7 +330,7 @@ def test_two_sleepers_have_a_night_each_in_one_folder(tmp_path: Path) -> None:
     for log in logs.values():
         log.begin()
     for name, night in (("left", Night(n=120, out=110)), ("right", Night(n=120, inn=60, out=110))):
-        for port, chunk in chain(night.told(), night.end()):
+        for port, chunk in chain(night.chunks(), night.end()):
             if "sleeper" in (chunk.data.dtype.names or ()):
                 chunk.data["sleeper"] = name
                 for log in logs.values():
@@ -357,10 +357,10 @@ def test_a_night_that_begins_while_the_disk_is_full_is_written_later(
         mkdir(path, *args, **more)
 
     monkeypatch.setattr(Path, "mkdir", refusing)
-    feed(log, night.told(0, 120))
+    feed(log, night.chunks(0, 120))
     assert archive.nights(tmp_path) == []
     full[0] = False
-    feed(log, chain(night.told(120), night.end()))
+    feed(log, chain(night.chunks(120), night.end()))
     log.close()
     assert logged(tmp_path / "2025-12-31") == states(night, night.inn)
 
@@ -386,9 +386,9 @@ def test_an_epoch_whose_movement_was_withdrawn_says_that_there_was_a_second_body
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
     scored = 100
-    feed(log, night.told(0, scored + LATE))
+    feed(log, night.chunks(0, scored + LATE))
     night.state[scored], night.moved[scored] = "unknown", float("nan")
-    feed(log, chain(night.told(scored + LATE), night.end()))
+    feed(log, chain(night.chunks(scored + LATE), night.end()))
     log.close()
     ((folder, _),) = archive.nights(tmp_path)
     epochs = archive.read_epochs(folder)

@@ -132,7 +132,7 @@ def test_epochs_of_which_there_is_no_row_were_not_seen(drawn: tuple[Path, Night]
 def test_the_report_of_a_night_that_goes_on(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
-    feed(log, night.told(0, 300))
+    feed(log, night.chunks(0, 300))
     log.close()
     folder = tmp_path / "2025-12-31"
     facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
@@ -152,12 +152,12 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
         log.keep_time(SimpleNamespace(utc_ns=night.onset(first)))
         log.begin()
         cut = dark if dark and begin <= dark < end else end
-        feed(log, night.told(begin, cut))
+        feed(log, night.chunks(begin, cut))
         if cut < end:
             log.process("lights", night_made.event(switched, night.onset(cut), False))
         if begin and dark and dark < begin:  # what the switch had been is said again
             log.process("lights", night_made.event(switched, night.onset(begin), False))
-        feed(log, night.told(cut, end))
+        feed(log, night.chunks(cut, end))
         if begin:
             for port, chunk in night.end():
                 if port == "nights":
@@ -233,7 +233,7 @@ def test_a_figure_that_cannot_be_drawn_leaves_the_page_and_its_numbers(
 def test_a_session_whose_report_is_not_whole_says_which_part_and_fails(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path)
     log.begin()
-    feed(log, night.told())
+    feed(log, night.chunks())
     (tmp_path / "2025-12-31" / "report.png").mkdir()
     feed(log, night.end())
     with pytest.raises(DeviceError, match=r"report\.png.*nights report 2025-12-31"):
@@ -244,12 +244,12 @@ def test_a_session_whose_report_is_not_whole_says_which_part_and_fails(tmp_path:
 def test_the_report_says_when_the_camera_was_moved_and_why_epochs_are_unknown(tmp_path: Path) -> None:
     night, log = Night(), opened(tmp_path, report=False)
     log.begin()
-    feed(log, night.told(0, 200))
+    feed(log, night.chunks(0, 200))
     log.process(
         "view", night_made.event(SPECS["view"].dtype, night.onset(200), night.onset(200), "steady", np.nan, np.nan)
     )
     log.process("view", night_made.event(SPECS["view"].dtype, night.onset(200), night.onset(200), "moved", 0.0, 6.0))
-    feed(log, night.told(200))
+    feed(log, night.chunks(200))
     feed(log, night.end())
     log.close()
     folder = tmp_path / "2025-12-31"

@@ -111,9 +111,9 @@ def _complain(judged: Judged, watched: Watched, index: Times, dropped: int) -> N
         say(
             f"{judged.name}: its processes ended with {watched.ends}; the last one's log ends\n{_end(watched.folder / 'log.txt')}"
         )
-    told = (watched.folder / "log.txt").read_text(errors="replace")
+    reported = (watched.folder / "log.txt").read_text(errors="replace")
     for word in ("Traceback", "soak:"):
-        if found := re.search(rf".*{word}.*(\n.*)*", told):
+        if found := re.search(rf".*{word}.*(\n.*)*", reported):
             say(f"{judged.name}: its log holds\n{found[0][:2000]}")
     if code := _replay(watched, verify=not dropped):
         say(f"{judged.name}: its replay ended with {code}\n{_end(watched.folder / 'replay.txt')}")

@@ -313,9 +313,9 @@ def test_what_is_printed_to_a_pipe_is_the_summary_alone(capsys: pytest.CaptureFi
     with _shown(13, quiet=False) as progress:
         progress(tally)
     _tell(tally, Path("out"))
-    told = capsys.readouterr()
-    assert told.out == "1 jobs done, 0 unchanged, 12 failed; 117 s replayed; results in out\n"
-    assert told.err.splitlines()[0] == "  s0 with a.b=1: why" and "and 2 more, in out/failed.parquet" in told.err
+    output = capsys.readouterr()
+    assert output.out == "1 jobs done, 0 unchanged, 12 failed; 117 s replayed; results in out\n"
+    assert output.err.splitlines()[0] == "  s0 with a.b=1: why" and "and 2 more, in out/failed.parquet" in output.err
 
 
 class Workers:

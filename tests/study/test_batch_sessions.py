@@ -114,8 +114,8 @@ def test_each_combination_of_settings_has_its_own_scores(tmp_path: Path, kinegra
     (tmp_path / "walk.csv").write_text("start_s,end_s,label,repetitions\n0,5,walk,3\n5,5.5,,\n5.5,10,run,2\n6,,,\n")
     (tmp_path / "all.csv").write_text("result,truth,offset_s\nwalk,walk.csv,0\nrun,walk.csv,0\n")
     results_of(tmp_path / "results", made, ({"segment.radius": 1}, {"segment.radius": 2}))
-    code, told, _ = kinegraph("motion", "evaluate", "results", "--table", "all.csv", "-o", "scores")
-    assert code == 0 and told.count("2 recordings, segment.radius=") == 2
+    code, output, _ = kinegraph("motion", "evaluate", "results", "--table", "all.csv", "-o", "scores")
+    assert code == 0 and output.count("2 recordings, segment.radius=") == 2
     sheet = Path("scores/scores.csv").read_text().splitlines()
     assert len(sheet) == 5 and {line.split(",")[0] for line in sheet[1:]} == {
         f"{name} segment.radius={value}" for name in ("walk", "run") for value in (1, 2)
@@ -138,8 +138,8 @@ def test_nights_of_a_batch(tmp_path: Path, kinegraph: Command) -> None:
     (tmp_path / "nights.csv").write_text("estimate,reference,person\nn,psg.csv,P1\n")
     results_of(tmp_path / "results", [tmp_path / "n.mcap"], ({"scorer.threshold": 1}, {"scorer.threshold": 2}))
     for given in (("psg.csv",), ("--nights", "nights.csv")):
-        code, told, _ = kinegraph("sleep", "evaluate", "results", *given)
-        assert code == 0 and told.count("0.833") == 2 and "scorer.threshold=2" in told
+        code, output, _ = kinegraph("sleep", "evaluate", "results", *given)
+        assert code == 0 and output.count("0.833") == 2 and "scorer.threshold=2" in output
     refused(kinegraph("sleep", "evaluate", "results"), "REFERENCE")
 
 
@@ -149,10 +149,10 @@ def test_models_are_learned_from_a_batch(tmp_path: Path, kinegraph: Command) -> 
     table.write_text("recording,person,gender\n" + "".join(f"r{k}.mcap,p{k},{'fm'[k % 2]}\n" for k in range(6)))
     results_of(tmp_path / "results", files)
     for given, out in ((files, "one"), ([tmp_path / "results"], "two")):
-        told = kinegraph(
+        output = kinegraph(
             "motion", "train", "steps", table, *given, "--target", "gender", "-o", f"{out}.npz", "--trees", "5"
         )
-        assert told[0] == 0, told
+        assert output[0] == 0, output
     with np.load("one.npz") as one, np.load("two.npz") as two:
         assert all(one[n].tobytes() == two[n].tobytes() for n in one.files if n != "header")
     results_of(tmp_path / "twice", files, ({"a.b": 1}, {"a.b": 2}))
@@ -170,8 +170,8 @@ def test_poses_and_meshes_are_learned_from_a_batch(tmp_path: Path, kinegraph: Co
         name = {"pose": "poses", "steering": "mesh"}[kind]
         results_of(tmp_path / kind, [tmp_path / f"{name}.mcap"])
         for given in (f"{name}.mcap", kind):
-            told = kinegraph("motion", "train", kind, given, *more, "-o", f"{given}.npz")
-            assert told[0] == 0, told
+            output = kinegraph("motion", "train", kind, given, *more, "-o", f"{given}.npz")
+            assert output[0] == 0, output
         with np.load(f"{name}.mcap.npz") as one, np.load(f"{kind}.npz") as two:
             assert all(one[n].tobytes() == two[n].tobytes() for n in one.files if n != "header")
 
@@ -187,8 +187,8 @@ def test_what_cannot_be_read_is_told(tmp_path: Path) -> None:
     table.write_bytes(b"PAR1 no table")
     with pytest.raises(KinegraphError, match="cannot be read"):
         open_session(path)
-    told = json.loads(path.read_text())
-    path.write_text(json.dumps({**told, "status": "failed", "error": "no such stream"}))
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps({**record, "status": "failed", "error": "no such stream"}))
     with pytest.raises(KinegraphError, match="failed in the batch: no such stream"):
         open_session(path)
     assert len(sessions_at([tmp_path / "results", tmp_path / "a.mcap"])) == 2

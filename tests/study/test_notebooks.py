@@ -57,14 +57,14 @@ def test_a_long_replay_shows_its_progress_and_the_time_left(tmp_path: Path, monk
     )
     book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("\n".join(code))])
     client = nbclient.NotebookClient(book, timeout=240, resources={"metadata": {"path": str(tmp_path)}})
-    told: list[str] = []
+    rows: list[str] = []
     process = client.process_message
 
     def seen(message: dict[str, Any], cell: object, at: int) -> object:
-        told.append(str(message["content"].get("data", {}).get("text/plain", "")))
+        rows.append(str(message["content"].get("data", {}).get("text/plain", "")))
         return process(message, cell, at)
 
     monkeypatch.setattr(client, "process_message", seen)
     client.execute()
-    bars = [text for text in told if re.fullmatch(r"replay: \d+ of 60 s, \d+ s left", text)]
-    assert bars and "Traceback" not in str(book), told
+    bars = [text for text in rows if re.fullmatch(r"replay: \d+ of 60 s, \d+ s left", text)]
+    assert bars and "Traceback" not in str(book), rows

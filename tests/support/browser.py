@@ -38,11 +38,11 @@ class Browser:
         """Whether nothing sticks out to the right at 375 pixels."""
         phone = self._folder / "phone.html"
         phone.write_text(PHONE % escape(page.read_text()))
-        told = re.search(
+        reported = re.search(
             rb"<title>(\d+) of (\d+)</title>", self._ask(phone, "--dump-dom", "--virtual-time-budget=10000")
         )
-        assert told, "the page did not load"
-        return int(told[1]) <= int(told[2])
+        assert reported, "the page did not load"
+        return int(reported[1]) <= int(reported[2])
 
     def sheets(self, page: Path) -> int:
         """How many sheets of paper it takes."""

@@ -23,8 +23,8 @@ BOARD = "nodes:\n  board: {use: devices.people.treadmill.Treadmill, realtime: fa
 GRAPH = BOARD % 2 + "  rect: {use: operators.filters.rectify.Rectify, from: board.emg}\nrecord: [rect]\n"
 QUIET = ("--view", "none")
 
-Told = tuple[int, str, str]
-Command = Callable[..., Told]
+CommandResult = tuple[int, str, str]
+Command = Callable[..., CommandResult]
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
 
     monkeypatch.chdir(tmp_path)
 
-    def call(*arguments: object) -> Told:
+    def call(*arguments: object) -> CommandResult:
         monkeypatch.setattr(sys, "argv", ["kinegraph", *map(str, arguments)])
         capsys.readouterr()
         code: Any = 0
@@ -42,9 +42,9 @@ def kinegraph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
             kinegraph.stream.cli.main.main()
         except SystemExit as end:
             code = end.code or 0
-        told = capsys.readouterr()
-        assert "Traceback" not in told.out + told.err
-        return code, told.out, told.err
+        output = capsys.readouterr()
+        assert "Traceback" not in output.out + output.err
+        return code, output.out, output.err
 
     yield call
     structlog.reset_defaults()
@@ -58,10 +58,10 @@ def call_command(*words: object) -> None:
     main.call(name, arguments[len(name.split()) :])
 
 
-def refused(told: Told, *words: str, code: int = 2) -> None:
+def refused(reported: CommandResult, *words: str, code: int = 2) -> None:
     """The command ended with `code`, and its complaint holds all these words."""
-    assert told[0] == code, told
-    assert not [word for word in words if word not in told[2]], told[2]
+    assert reported[0] == code, reported
+    assert not [word for word in words if word not in reported[2]], reported[2]
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ class Kept:
     def __init__(self) -> None:
         self.chunks: dict[str, list[Chunk]] = {}
         self.problems: Counter[str] = Counter()
-        self.told: list[tuple[str, dict[str, str | float]]] = []
+        self.reports: list[tuple[str, dict[str, str | float]]] = []
         self.clocks: list[dict[str, float]] = []
         self.again = False
         self.error: Exception | None = None
@@ -61,7 +61,7 @@ class Kept:
         self.problems[kind] += count
 
     def tell(self, kind: str, **facts: str | float) -> None:
-        self.told.append((kind, facts))
+        self.reports.append((kind, facts))
 
     def device_clock(self, **facts: float) -> None:
         self.clocks.append(facts)

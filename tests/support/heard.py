@@ -12,7 +12,7 @@ class Heard:
         self.words, self.most = words, most
         self.poses: list[Samples] = []
         self.nodes: list[Array] = []
-        self.told: list[str] = []
+        self.reports: list[str] = []
 
     @property
     def stopped(self) -> bool:
@@ -31,7 +31,7 @@ class Heard:
         (self.poses if output == "pose" else self.nodes).append(chunk.data[0])
 
     def problem(self, kind: str, count: int = 1) -> None:
-        self.told.append(kind)
+        self.reports.append(kind)
 
     def tell(self, kind: str, **facts: object) -> None:
-        self.told.append(f"{kind} {facts}")
+        self.reports.append(f"{kind} {facts}")

@@ -190,13 +190,13 @@ SCHEMAS = {
 }
 
 
-def check(topic: str, told: dict[str, Any]) -> None:
+def check(topic: str, facts: dict[str, Any]) -> None:
     """A discovery message is as Home Assistant documents it; raises jsonschema.ValidationError or AssertionError."""
     from jsonschema import validate
 
     prefix, component, node, name, last = topic.split("/")
     assert (prefix, last) == ("homeassistant", "config")
     assert all(part.replace("_", "").replace("-", "").isalnum() for part in (node, name))
-    validate(told, SCHEMAS[component])
-    if "state_class" in told:
-        assert told.get("device_class") not in ("date", "enum", "timestamp")
+    validate(facts, SCHEMAS[component])
+    if "state_class" in facts:
+        assert facts.get("device_class") not in ("date", "enum", "timestamp")

@@ -52,17 +52,17 @@ class LiveBrowser:
         self._number += 1
         self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
-            told = json.loads(self._socket.recv(timeout=PATIENCE_S))
-            self._note(told)
-            if told.get("id") == self._number:
-                if "navigated" in told.get("error", {}).get("message", ""):
+            record = json.loads(self._socket.recv(timeout=PATIENCE_S))
+            self._note(record)
+            if record.get("id") == self._number:
+                if "navigated" in record.get("error", {}).get("message", ""):
                     raise NavigatedAway
-                assert "error" not in told, told["error"]
-                return dict(told["result"])
+                assert "error" not in record, record["error"]
+                return dict(record["result"])
 
-    def _note(self, told: dict[str, Any]) -> None:
-        given = told.get("params", {})
-        match told.get("method"):
+    def _note(self, facts: dict[str, Any]) -> None:
+        given = facts.get("params", {})
+        match facts.get("method"):
             case "Runtime.exceptionThrown":
                 self._complain(json.dumps(given["exceptionDetails"])[:2000])
             case "Runtime.consoleAPICalled" if given["type"] in ("error", "assert"):
@@ -94,9 +94,9 @@ class LiveBrowser:
 
     def value(self, script: str) -> Any:
         """What an expression gives."""
-        told = self.ask("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in told, told
-        return told["result"].get("value")
+        reported = self.ask("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in reported, reported
+        return reported["result"].get("value")
 
     def _value_once_there(self, script: str) -> Any:
         """What an expression gives; None while the page goes to another one, as from an address with a token."""
@@ -203,8 +203,8 @@ def _tab(port: str) -> str:
     from urllib.request import urlopen
 
     def found() -> list[str]:
-        with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=PATIENCE_S) as told:
-            return [tab["webSocketDebuggerUrl"] for tab in json.load(told) if tab["type"] == "page"]
+        with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=PATIENCE_S) as output:
+            return [tab["webSocketDebuggerUrl"] for tab in json.load(output) if tab["type"] == "page"]
 
     end = time.monotonic() + PATIENCE_S
     while not (tabs := found()):

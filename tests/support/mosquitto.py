@@ -91,7 +91,7 @@ class Listener:
     """A plain MQTT client: `said` is every (topic, text, retained) in the order of arrival."""
 
     def __init__(self, port: int) -> None:
-        self.said: list[tuple[str, str, bool]] = []
+        self.messages: list[tuple[str, str, bool]] = []
         self._news = threading.Condition()
         self._ready = threading.Event()
         self.client = Client(CallbackAPIVersion.VERSION2, clean_session=True)
@@ -105,22 +105,22 @@ class Listener:
 
     def _hear(self, topic: str, text: str, retained: bool) -> None:
         with self._news:
-            self.said.append((topic, text, retained))
+            self.messages.append((topic, text, retained))
             self._news.notify_all()
 
     def texts(self, topic: str) -> list[str]:
         """What was said live under a topic."""
         with self._news:
-            return [text for name, text, _ in self.said if name == topic]
+            return [text for name, text, _ in self.messages if name == topic]
 
     def wait(self, holds: Callable[[], bool]) -> None:
         """Until what is asked for holds; fails after a minute."""
         with self._news:
-            assert self._news.wait_for(holds, PATIENCE_S), self.said[-20:]
+            assert self._news.wait_for(holds, PATIENCE_S), self.messages[-20:]
 
     def wait_for(self, topic: str, text: str | None = None) -> str:
         """Until something (or `text`) was said under a topic; gives what was said last."""
-        self.wait(lambda: any(name == topic and text in (None, told) for name, told, _ in self.said))
+        self.wait(lambda: any(name == topic and text in (None, reported) for name, reported, _ in self.messages))
         return self.texts(topic)[-1]
 
     def say(self, topic: str, text: str, *, retain: bool = False) -> None:

@@ -104,7 +104,7 @@ class Night:
     def onset(self, k: int) -> int:
         return EVENING + k * STEP
 
-    def told(self, begin: int = 0, end: int | None = None) -> Iterator[tuple[str, Chunk]]:
+    def chunks(self, begin: int = 0, end: int | None = None) -> Iterator[tuple[str, Chunk]]:
         """What the graph says at each epoch's end, in its order."""
         for k in range(begin, self.n if end is None else end):
             t, seen = self.onset(k), 0.0 if k in self.gone else 0.93
@@ -157,8 +157,8 @@ def opened(root: Path, ports: tuple[str, ...] = tuple(SPECS), **more: Any) -> Ni
     return log
 
 
-def feed(log: NightLog, told: Iterator[tuple[str, Chunk]]) -> None:
-    for port, chunk in told:
+def feed(log: NightLog, reported: Iterator[tuple[str, Chunk]]) -> None:
+    for port, chunk in reported:
         if port in log.runtime.specs:
             log.process(port, chunk)
 
@@ -167,7 +167,7 @@ def whole(root: Path, **more: Any) -> Night:
     """Write a night from its beginning to its end."""
     night, log = Night(), opened(root, **more)
     log.begin()
-    feed(log, night.told())
+    feed(log, night.chunks())
     feed(log, night.end())
     log.close()
     return night

@@ -26,7 +26,7 @@ def run(operator, data, *, spec=None, time=None, cuts=(), lost=None):
     made = operator.open({"in": spec})["out"]
     take = taking(operator, {"in": spec})
     places = sorted({0, *cuts, *lost, len(data)})
-    emitted, stamps, values, marks, pending, told = [], [], [], {}, 0, None
+    emitted, stamps, values, marks, pending, rows = [], [], [], {}, 0, None
     for start, stop in pairwise(places):
         until = int(time[stop]) - 1 if stop < len(time) else FOREVER
         chunk = Chunk(time[start:stop], data[start:stop], until, lost.get(start, 0))
@@ -35,8 +35,8 @@ def run(operator, data, *, spec=None, time=None, cuts=(), lost=None):
     for given in emitted:
         for chunk in [given] if isinstance(given, Chunk) else [c for _, c in given or ()]:
             assert len(chunk.time) == len(chunk.data)
-            assert told is None or not len(chunk.time) or chunk.time[0] > told, "a sample at or before a promise"
-            told = chunk.until if told is None else max(told, chunk.until)
+            assert rows is None or not len(chunk.time) or chunk.time[0] > rows, "a sample at or before a promise"
+            rows = chunk.until if rows is None else max(rows, chunk.until)
             pending = chunk.lost or pending
             if len(chunk.time) and pending:
                 marks[sum(map(len, stamps))] = pending

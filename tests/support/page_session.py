@@ -39,14 +39,14 @@ class PageProcess:
         self.url = self.wait_for(ADDRESS)[1]
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, pattern: re.Pattern[str]) -> re.Match[str]:
         """What it printed that matches."""
         end = time.monotonic() + PATIENCE_S
-        while not (found := pattern.search(self.said)):
-            assert time.monotonic() < end and (self.process.poll() is None or pattern.search(self.said)), self.said
+        while not (found := pattern.search(self.output)):
+            assert time.monotonic() < end and (self.process.poll() is None or pattern.search(self.output)), self.output
             time.sleep(0.05)
         return found
 
@@ -57,10 +57,10 @@ class PageProcess:
 
     def server(self) -> int:
         """The process that serves the page."""
-        told = subprocess.run(
+        output = subprocess.run(
             ["ps", "-o", "pid=,args=", "--ppid", str(self.process.pid)], capture_output=True, text=True
         )
-        return next(int(line.split()[0]) for line in told.stdout.splitlines() if "page.server" in line)
+        return next(int(line.split()[0]) for line in output.stdout.splitlines() if "page.server" in line)
 
     def client(self, **options: Any) -> ClientConnection:
         """A client, connected."""

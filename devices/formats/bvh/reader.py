@@ -181,8 +181,8 @@ def _numbers(where: str, words: list[str], count: int, what: str) -> list[float]
 
 def _timing(path: Path, lines: list[str], at: int) -> tuple[float, int]:
     """The rate in Hz, and the line (counted from 0) where frames begin; what "Frames:" says is checked against them."""
-    said: dict[str, tuple[float, int]] = {}
-    while at < len(lines) and len(said) < 2:
+    facts: dict[str, tuple[float, int]] = {}
+    while at < len(lines) and len(facts) < 2:
         key, colon, value = lines[at].partition(":")
         at += 1
         if not key.strip():
@@ -192,21 +192,21 @@ def _timing(path: Path, lines: list[str], at: int) -> tuple[float, int]:
             raise RecordingError(
                 f"{where}: 'Frames:' and 'Frame Time:' must come here, not {lines[at - 1].strip()!r:.60}"
             )
-        said[name] = _numbers(where, value.split(), 1, name)[0], at
-    if len(said) < 2:
+        facts[name] = _numbers(where, value.split(), 1, name)[0], at
+    if len(facts) < 2:
         raise RecordingError(
             f"{path}: line {len(lines)}: the file ends before 'Frames:' and 'Frame Time:'; it was cut off"
         )
-    period, line = said["frame time"]
+    period, line = facts["frame time"]
     if not 1e-6 < period < 1e6:
         raise RecordingError(f"{path}: line {line}: a frame time of {period:g} s is impossible")
     count = sum(1 for text in lines[at:] if text.strip())
-    if count != said["frames"][0]:
+    if count != facts["frames"][0]:
         raise RecordingError(
-            f"{path}: line {said['frames'][1]}: {said['frames'][0]:g} frames are announced, {count} are there"
+            f"{path}: line {facts['frames'][1]}: {facts['frames'][0]:g} frames are announced, {count} are there"
         )
     if not count:
-        raise RecordingError(f"{path}: line {said['frames'][1]}: there is a skeleton, but not one frame of motion")
+        raise RecordingError(f"{path}: line {facts['frames'][1]}: there is a skeleton, but not one frame of motion")
     return snapped(1.0 / period), at
 
 

@@ -121,8 +121,8 @@ def _one_each(given: Array, count: int, otherwise: float) -> Array:
 def _begin(path: Path, parameters: Parameters, block: int) -> int:
     """The byte at which samples begin."""
     size = path.stat().st_size
-    for told in (parameters.count("POINT", "DATA_START"), block):
-        if told and 0 < (begin := (told - 1) * BLOCK) <= size:
+    for declared in (parameters.count("POINT", "DATA_START"), block):
+        if declared and 0 < (begin := (declared - 1) * BLOCK) <= size:
             return begin
     raise RecordingError(f"{path}: its samples begin in block {block}, beyond its end; it is damaged, or was cut off")
 
@@ -138,13 +138,13 @@ def _counted(path: Path, frames: C3dFrames, header: int | None, parameters: Para
         end = (turns - 1) * BLOCK
     size = frames.numbers * frames.width
     held = (end - frames.begin) // size if size else 0
-    told, doubt = parameters.count("POINT", "FRAMES") or header, ""
-    if told is None or told == MOST_FRAMES:
-        told = header = _long(parameters)
-        if told is None and size:
-            told = held - _filled(path, end, size)
+    declared, doubt = parameters.count("POINT", "FRAMES") or header, ""
+    if declared is None or declared == MOST_FRAMES:
+        declared = header = _long(parameters)
+        if declared is None and size:
+            declared = held - _filled(path, end, size)
             doubt = "nothing says how many frames it holds: they were counted by its length, zeros at the end left out"
-    count = min(told or 0, held)
+    count = min(declared or 0, held)
     if size and (header or 0) > count:
         raise RecordingError(f"{path}: {header} frames are announced, {count} are there; the file was cut off")
     return replace(frames, count=count, doubt=doubt)

@@ -30,8 +30,8 @@ def note(path: Path, parameters: Parameters, frames: C3dFrames, findings: Findin
     def doubt(words: str) -> None:
         findings.doubts.append(f"{path.name}: {words}")
 
-    told = [next(iter(parameters.texts("MANUFACTURER", name)), "") for name in ("SOFTWARE", "COMPANY")]
-    program = next(filter(None, told), "")
+    lines = [next(iter(parameters.texts("MANUFACTURER", name)), "") for name in ("SOFTWARE", "COMPANY")]
+    program = next(filter(None, lines), "")
     findings.kinds[path] = f"C3D{f' ({program})' if program else ''}"
     if program:
         findings.facts.setdefault("software", program)

@@ -82,8 +82,8 @@ def read_c3d(path: Path, start_ns: int = 0, findings: Findings | None = None) ->
 def _markers(path: Path, parameters: Parameters, data: Array, rate: float, start: int) -> Series:
     names = _distinct(parameters.texts("POINT", "LABELS"), data.shape[1], "marker")
     unit = next(iter(parameters.texts("POINT", "UNITS")), "")
-    said = next(iter(parameters.texts("POINT", "Y_SCREEN")), "").strip().lower().lstrip("+")
-    meta = {"axes": Axes(said).facts()} if said in WAYS else {}
+    screen_axis = next(iter(parameters.texts("POINT", "Y_SCREEN")), "").strip().lower().lstrip("+")
+    meta = {"axes": Axes(screen_axis).facts()} if screen_axis in WAYS else {}
     spec = StreamSpec(data.shape[1:], rate_hz=rate, channels=names, units=(UNITS.get(unit.lower(), unit),), meta=meta)
     return Series(f"{path.stem}.markers", spec, grid_of(rate, np.arange(len(data)), start), data)
 
@@ -92,8 +92,8 @@ def _analogue(path: Path, parameters: Parameters, data: Array, rate: float, star
     names = _distinct(parameters.texts("ANALOG", "LABELS"), data.shape[1], "channel")
     units = [UNITS.get(unit.lower(), unit) for unit in parameters.texts("ANALOG", "UNITS")]
     units = (units + [""] * len(names))[: len(names)] if len(units) > 1 else units
-    told = tuple(units) if len(set(units)) > 1 else tuple(units[:1]) or ("",)
-    spec = StreamSpec((data.shape[1],), rate_hz=rate, channels=names, units=told)
+    declared_units = tuple(units) if len(set(units)) > 1 else tuple(units[:1]) or ("",)
+    spec = StreamSpec((data.shape[1],), rate_hz=rate, channels=names, units=declared_units)
     return Series(f"{path.stem}.analog", spec, grid_of(rate, np.arange(len(data)), start), data)
 
 

@@ -52,11 +52,11 @@ class Note:
 def encode(head: Head, record_ns: int, signals: Sequence[EdfSignal], notes: Iterable[Note]) -> bytes:
     """The file: at least one signal, all of the same length. Raises DeviceError where EDF cannot say so."""
     records = len(signals[0].values)
-    told = _annotations(records, record_ns, sorted(notes, key=lambda n: (n.onset, n.length or -1, n.text)))
-    size = -(-max(map(len, told)) // 2)
+    result = _annotations(records, record_ns, sorted(notes, key=lambda n: (n.onset, n.length or -1, n.text)))
+    size = -(-max(map(len, result)) // 2)
     data = [_digital(signal) for signal in signals]
     body = b"".join(
-        b"".join(column[k : k + 1].tobytes() for column in data) + told[k].ljust(2 * size, b"\0")
+        b"".join(column[k : k + 1].tobytes() for column in data) + result[k].ljust(2 * size, b"\0")
         for k in range(records)
     )
     return _header(head, record_ns, records, signals, size) + body
@@ -90,15 +90,15 @@ def _header(head: Head, record_ns: int, records: int, signals: Sequence[EdfSigna
 
 def _annotations(records: int, record_ns: int, notes: Sequence[Note]) -> list[bytes]:
     """Of every record its annotations: first its own time, then those that begin in it; the last one holds the rest."""
-    told: list[bytes] = []
+    rows: list[bytes] = []
     next_one = 0
     for k in range(records):
         lists = [_told(Note(k * record_ns, None, ""))]
         while next_one < len(notes) and (notes[next_one].onset < (k + 1) * record_ns or k == records - 1):
             lists.append(_told(notes[next_one]))
             next_one += 1
-        told.append(b"".join(lists))
-    return told
+        rows.append(b"".join(lists))
+    return rows
 
 
 def _told(note: Note) -> bytes:

@@ -82,9 +82,9 @@ def _begun(file: EdfFile, made: Understood) -> datetime | None:
         made.doubt(f"when it began is not stated (its date is {day!r}, its time {clock!r})")
         return None
     moment = moment.replace(year=moment.year % 100 + (1900 if moment.year % 100 >= 85 else 2000))
-    said = re.match(r"Startdate (\d{1,2})-([A-Z]{3})-(\d{4})\b", file.fields["recording"], re.IGNORECASE)
-    if file.is_plus and said and said[2].upper() in MONTHS:
-        moment = moment.replace(year=int(said[3]), month=MONTHS.index(said[2].upper()) + 1, day=int(said[1]))
+    result = re.match(r"Startdate (\d{1,2})-([A-Z]{3})-(\d{4})\b", file.fields["recording"], re.IGNORECASE)
+    if file.is_plus and result and result[2].upper() in MONTHS:
+        moment = moment.replace(year=int(result[3]), month=MONTHS.index(result[2].upper()) + 1, day=int(result[1]))
     first = int(file.onsets[0]) if file.onsets is not None and len(file.onsets) else 0
     return moment + timedelta(microseconds=first // 1000)
 

@@ -111,9 +111,9 @@ class MovingMesh:
         """Where a node is in its parent, (n, 4, 4)."""
         if not any((node, path) in moved for path in USUAL):
             return np.broadcast_to(matrix_of(self.nodes[node]), (n, 4, 4))
-        said = self.nodes[node]
+        entry = self.nodes[node]
         move, turn, scale = (
-            moved.get((node, path), np.tile(np.array(said.get(path, usual), float), (n, 1)))
+            moved.get((node, path), np.tile(np.array(entry.get(path, usual), float), (n, 1)))
             for path, usual in USUAL.items()
         )
         made = np.tile(np.eye(4), (n, 1, 1))

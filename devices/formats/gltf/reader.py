@@ -153,11 +153,11 @@ def _animations(file: Gltf, mesh: MovingMesh) -> Iterator[Animation]:
     morphs = {piece.node: len(piece.weights) for piece in mesh.pieces}
     for number, one in enumerate(file.json.get("animations", ())):
         channels = []
-        for said in one["channels"]:
-            node, path = said["target"].get("node"), said["target"]["path"]
+        for channel in one["channels"]:
+            node, path = channel["target"].get("node"), channel["target"]["path"]
             width = morphs.get(node, 0) if path == "weights" else len(USUAL.get(path, ()))
             if width and node in mesh.order:
-                channels.append(_channel(file, one["samplers"][said["sampler"]], node, path, width))
+                channels.append(_channel(file, one["samplers"][channel["sampler"]], node, path, width))
         if channels:
             yield Animation(str(one.get("name") or number), tuple(channels))
 

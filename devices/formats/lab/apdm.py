@@ -42,8 +42,8 @@ def read_apdm(path: Path, asked: Asked) -> Understood:
     columns: dict[str, list[tuple[int, str]]] = {}
     for n, start in enumerate(starts):
         stop = starts[n + 1] if n + 1 < len(starts) else width
-        told = [cell for cell in sensors[start - (n == 0) * 0 : stop] if cell and not cell.startswith("Format=")]
-        name = next((cell for cell in told if not cell.isdigit()), told[0] if told else f"sensor{n + 1}")
+        labels = [cell for cell in sensors[start - (n == 0) * 0 : stop] if cell and not cell.startswith("Format=")]
+        name = next((cell for cell in labels if not cell.isdigit()), labels[0] if labels else f"sensor{n + 1}")
         for k in range(start, stop):
             axis = "w" if axes[k] == "S" else axes[k].lower()
             columns.setdefault(kinds[k].lower(), []).append((k, f"{name}.{axis}" if axis else name))

@@ -29,8 +29,10 @@ def read_motion(path: Path, asked: Asked) -> Understood:
     made = Understood(path, "BIDS motion")
     stem = path.name.removesuffix(".gz").removesuffix(".tsv").removesuffix("_motion")
     channels = _rows(_beside(path, f"{stem}_channels.tsv"))
-    told = _json(_beside(path, f"{stem}_motion.json"))
-    rate = float(told["SamplingFrequency"]) if is_number(str(told.get("SamplingFrequency", ""))) else asked.rate_hz
+    sidecar = _json(_beside(path, f"{stem}_motion.json"))
+    rate = (
+        float(sidecar["SamplingFrequency"]) if is_number(str(sidecar.get("SamplingFrequency", ""))) else asked.rate_hz
+    )
     if not rate or rate <= 0:
         raise RateMissing(f"{path}: {stem}_motion.json does not say SamplingFrequency; give --rate HZ")
     if not channels or "name" not in channels[0]:
@@ -115,13 +117,13 @@ def correct_units(made: Understood, path: Path) -> None:
     sidecar = path.parent / f"{stem}_channels.tsv"
     if not stem or not sidecar.is_file():
         return
-    told = {row.get("name", ""): unit_of(row.get("units", "")) for row in _rows(sidecar)}
+    facts = {row.get("name", ""): unit_of(row.get("units", "")) for row in _rows(sidecar)}
     for one in made.series:
         for channel in one.spec.channels if not one.spec.is_event else ():
             unit = one.spec.unit_of(channel)
-            if told.get(channel) and unit and told[channel] != unit:
+            if facts.get(channel) and unit and facts[channel] != unit:
                 made.doubt(
-                    f"{sidecar.name} gives {told[channel]} where the file itself gives {unit}: the file is believed"
+                    f"{sidecar.name} gives {facts[channel]} where the file itself gives {unit}: the file is believed"
                 )
                 break
     add_study(made, path, stem)
@@ -151,7 +153,7 @@ def _json(path: Path | None) -> dict[str, Any]:
     if path is None:
         return {}
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        sidecar = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
         raise RecordingError(f"{path}: is not JSON ({error})") from None
-    return told if isinstance(told, dict) else {}
+    return sidecar if isinstance(sidecar, dict) else {}

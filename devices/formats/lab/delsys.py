@@ -211,8 +211,8 @@ def _numbers(line: str) -> bool:
 
 
 def _is_rates(cells: Sequence[str]) -> bool:
-    told = [cell for cell in cells if cell]
-    return bool(told) and all(re.fullmatch(r"[\d.,]+\s*Hz", cell, re.IGNORECASE) for cell in told)
+    rows = [cell for cell in cells if cell]
+    return bool(rows) and all(re.fullmatch(r"[\d.,]+\s*Hz", cell, re.IGNORECASE) for cell in rows)
 
 
 def _number(cell: str) -> float:

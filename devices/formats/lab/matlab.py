@@ -45,9 +45,9 @@ def rate_of(arrays: dict[str, Array], name: str) -> float | None:
     while inside:
         inside = inside.rpartition(".")[0]
         mine = [n for n in arrays if RATES.search(n) and n.rpartition(".")[0] == inside]
-        told = {float(arrays[n].ravel()[0]) for n in mine if arrays[n].size == 1 and arrays[n].dtype.kind in "iuf"}
-        if told:
-            return told.pop() if len(told) == 1 else None
+        rates = {float(arrays[n].ravel()[0]) for n in mine if arrays[n].size == 1 and arrays[n].dtype.kind in "iuf"}
+        if rates:
+            return rates.pop() if len(rates) == 1 else None
     return None
 
 

@@ -101,8 +101,8 @@ def read_mt_manager(path: Path, asked: Asked) -> Understood:
 def _rate(
     text: TextLines, names: list[str], table: Samples, facts: dict[str, str], asked: Asked, fine_hz: int
 ) -> float:
-    told = re.match(r"([\d.]+)\s*Hz", facts.get("update rate", ""))
-    rate = float(told[1]) if told else _by_fine_time(names, table, fine_hz) or asked.rate_hz
+    result = re.match(r"([\d.]+)\s*Hz", facts.get("update rate", ""))
+    rate = float(result[1]) if result else _by_fine_time(names, table, fine_hz) or asked.rate_hz
     if not rate:
         raise RateMissing(f"{text.path}: it holds neither an update rate nor times; give --rate HZ")
     return rate

@@ -88,17 +88,17 @@ def _number(path: Path, text: str, what: str) -> float:
 
 
 def _times(made: Understood, frames: Sequence[ElementTree.Element], rate: float, path: Path) -> Samples:
-    told = [frame.get("ms", "") for frame in frames]
-    if all(ms.isdigit() and 10**11 < int(ms) < 10**14 for ms in told):
-        made.begin = int(told[0]) * 1_000_000
-        return np.array([(int(ms) - int(told[0])) / 1e3 for ms in told])
+    stamps = [frame.get("ms", "") for frame in frames]
+    if all(ms.isdigit() and 10**11 < int(ms) < 10**14 for ms in stamps):
+        made.begin = int(stamps[0]) * 1_000_000
+        return np.array([(int(ms) - int(stamps[0])) / 1e3 for ms in stamps])
     made.doubt("frames have no time of day: their index at the file's rate is taken")
     return np.array([_index(frame, i) / rate for i, frame in enumerate(frames)])
 
 
 def _index(frame: ElementTree.Element, i: int) -> int:
-    told = frame.get("index", "")
-    return int(told) if told.isdigit() and len(told) < 12 else i
+    index = frame.get("index", "")
+    return int(index) if index.isdigit() and len(index) < 12 else i
 
 
 def _values(made: Understood, element: ElementTree.Element) -> Samples | None:

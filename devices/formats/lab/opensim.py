@@ -34,13 +34,13 @@ def read_trc(path: Path, asked: Asked) -> Understood:
     if [cell.lower() for cell in head[:2]] != ["frame#", "time"]:
         raise text.wrong(at + 3, "the columns must begin with Frame# and Time")
     names = [cell for cell in head[2:] if cell]
-    told = int(float(facts["NumMarkers"])) if is_number(facts.get("NumMarkers", "")) else len(names)
+    count = int(float(facts["NumMarkers"])) if is_number(facts.get("NumMarkers", "")) else len(names)
     lines = [i for i in range(at + 5, len(text.lines)) if text.lines[i].strip()]
-    if told != len(names):
+    if count != len(names):
         columns = max((len(text.lines[i].rstrip().split("\t")) for i in lines), default=0)
         held = max(len(names), -(-(columns - 2) // 3))
         made.doubt(
-            f"{told} markers are announced, {len(names)} are named, {held} are there; those without a name are numbered"
+            f"{count} markers are announced, {len(names)} are named, {held} are there; those without a name are numbered"
         )
         names += [f"marker{k + 1}" for k in range(len(names), held)]
     data = np.concatenate(

@@ -71,14 +71,14 @@ def renamed(made: Sequence[Series], options: ImportOptions, *, alone: bool) -> t
     names = {one.name: (one.name, chosen.get(one.name, one.name)) for one in taken}
     for one in taken:
         _changed(one, names[one.name], options)
-    said = {key for pair in names.values() for key in pair} | {key.partition(".")[0] for key in known}
+    named = {key for pair in names.values() for key in pair} | {key.partition(".")[0] for key in known}
     rest = replace(
         options,
         streams={name: parts for name, parts in options.streams.items() if name not in chosen},
-        meta={name: facts for name, facts in options.meta.items() if name not in said},
-        rate={name: v for name, v in options.rate.items() if name not in said},
-        unit={name: v for name, v in options.unit.items() if name not in said},
-        scale={name: v for name, v in options.scale.items() if name not in said},
+        meta={name: facts for name, facts in options.meta.items() if name not in named},
+        rate={name: v for name, v in options.rate.items() if name not in named},
+        unit={name: v for name, v in options.unit.items() if name not in named},
+        scale={name: v for name, v in options.scale.items() if name not in named},
     )
     if alone:
         _nothing_left(rest, known)
@@ -118,5 +118,5 @@ def _said(option: Mapping[str, str], file: Path) -> str:
 
 def _rate(file: Path, options: ImportOptions) -> float | None:
     mine = [name for name in options.rate if name == file.stem or name.startswith(f"{file.stem}.")]
-    told = options.rate[mine[0]] if mine else options.rate.get("", "")
-    return positive(told, "--rate") if told else None
+    rate_text = options.rate[mine[0]] if mine else options.rate.get("", "")
+    return positive(rate_text, "--rate") if rate_text else None

@@ -50,11 +50,11 @@ def read_vicon(path: Path, asked: Asked) -> Understood:
             at += 1
             continue
         stop = next((i for i in range(at + 2, len(text.lines)) if _ends(text.lines[i])), len(text.lines))
-        told = text.number(at + 1, text.lines[at + 1].strip().strip(DELIMITERS), comma=True) if at + 1 < stop else 0.0
+        result = text.number(at + 1, text.lines[at + 1].strip().strip(DELIMITERS), comma=True) if at + 1 < stop else 0.0
         if section == "Events":
             _events(made, text, at, stop)
         else:
-            frame_rate = _samples(made, text, section, told, at, stop, frame_rate)
+            frame_rate = _samples(made, text, section, result, at, stop, frame_rate)
         at = stop
     if not made.series:
         raise RecordingError(f"{path}: there are no samples in it")

@@ -40,11 +40,11 @@ def write_csv(
             n = len(chunk.time)
             if n:
                 lost = [chunk.lost, *[0] * (n - 1)]
-                told = [
+                cells = [
                     _times(column, clock, origin) if is_time else _texts(column)
                     for column, is_time in zip(columns(spec, chunk.data), times, strict=True)
                 ]
-                writer.writerows(zip(_stamps(chunk.time, clock, origin), *told, lost, strict=True))
+                writer.writerows(zip(_stamps(chunk.time, clock, origin), *cells, lost, strict=True))
                 rows += n
                 progress(n)
     return rows

@@ -61,8 +61,8 @@ class JsonMessages:
         """The stamp (ns) and the message of every sample."""
         table = [column.tolist() for column in columns(self._spec, chunk.data)]
         for i, (stamp, *values) in enumerate(zip(chunk.time.tolist(), *table, strict=True)):
-            said = zip(self._keys, values, self._times, strict=True)
-            message = {key: _plain(v, t) for key, v, t in said if _is_said(v)}
+            value = zip(self._keys, values, self._times, strict=True)
+            message = {key: _plain(v, t) for key, v, t in value if _is_said(v)}
             message |= {"timestamp": _time(stamp), "lost": 0 if i else int(chunk.lost)}
             yield stamp, self._json.encode(message)
 

@@ -52,8 +52,8 @@ def read_kinect(
     """
     rows = read_rows(path)
     columns = read_csv(path) if rows is None else {}
-    names, data, clock, said, row = _named(path, columns, rate_hz) if rows is None else _ordered(path, rows)
-    time, lost = (_times(path, clock, row, said), None) if rate_hz is None else _counted(path, clock, row, rate_hz)
+    names, data, clock, result, row = _named(path, columns, rate_hz) if rows is None else _ordered(path, rows)
+    time, lost = (_times(path, clock, row, result), None) if rate_hz is None else _counted(path, clock, row, rate_hz)
     data = data * scale
     data[~np.isfinite(data).all(axis=2) | (data == 0.0).all(axis=2)] = np.nan
     check_order(time, f"{path}: line", row, repeated=False)
@@ -87,8 +87,8 @@ def _named(path: Path, columns: dict[str, FileColumn], rate_hz: float | None) ->
         wanted = f"frame numbers, which --rate speaks of; call it {FRAMES[0]}" if rate_hz else NO_TIMES
         raise RecordingError(f"{path}: line 1: there is no column of {wanted}")
     column = columns[clock]
-    said = column.unit in UNITS or re.search(r"_(ns|us|ms|s)$", clock) is not None
-    return tuple(joints), data, column.data, unit_in(clock, column.unit) if said else "", column.row
+    declared = column.unit in UNITS or re.search(r"_(ns|us|ms|s)$", clock) is not None
+    return tuple(joints), data, column.data, unit_in(clock, column.unit) if declared else "", column.row
 
 
 def _ordered(path: Path, rows: Array) -> Found:

@@ -62,7 +62,9 @@ class Alarms(Outlet[AlarmsState]):
 
     def _tell(self, port: str, subject: str, what: str, advice: str, line: str) -> None:
         s = self.state
-        kept = [k for k, told in enumerate(zip(s.ports, s.subjects, strict=True)) if told != (port, subject)]
+        kept = [
+            k for k, shown_name in enumerate(zip(s.ports, s.subjects, strict=True)) if shown_name != (port, subject)
+        ]
         s.ports, s.subjects, s.what, s.advice = (
             [text[k] for k in kept] for text in (s.ports, s.subjects, s.what, s.advice)
         )

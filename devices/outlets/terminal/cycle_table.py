@@ -156,16 +156,16 @@ def _tell_stage(row: Any) -> None:
 def _tell(port: str, rows: Array) -> None:
     """How the last cycle stands to each target, or norm."""
     kind = port.removesuffix("s")
-    told = [
+    lines = [
         f"{kind} {row['name']}: {TOLD[port](row)}"
         + (f", {row['hits']} of {row['cycles']} cycles within" if port == "targets" else "")
         for row in rows
     ]
     if TerminalView.current is None:
         with suppress(BrokenPipeError):  # nobody reads on
-            say("; ".join(told), flush=True)
+            say("; ".join(lines), flush=True)
     else:
-        TerminalView.current.hang_out(kind, "\n".join(told), "; ".join(told))
+        TerminalView.current.hang_out(kind, "\n".join(lines), "; ".join(lines))
 
 
 def _count(state: CycleTableState, number: int, taken: bool) -> bool:
@@ -208,10 +208,10 @@ def cycle_table(
         table.add_column(f"{_short(field)} {spec.unit_of(field)}".strip(), justify="right")
     written = [[str(name) for name in rows["name"]], *(_numbers(field, rows[field]) for field in fields)]
     for port in NOTES if notes else ():
-        told = [notes.of(str(name), port) if notes else "" for name in rows["name"]]
-        if any(told):
+        lines = [notes.of(str(name), port) if notes else "" for name in rows["name"]]
+        if any(lines):
             table.add_column(HEADINGS[port])
-            written.append(told)
+            written.append(lines)
     for cells in zip(*written, strict=True):
         table.add_row(*cells)
     return table

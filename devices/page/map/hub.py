@@ -119,17 +119,17 @@ class MapHub:
             if process.returncode is None:
                 process.kill()
 
-    def _hear(self, told: dict[str, object]) -> None:
-        if told["query"] == READY:
+    def _hear(self, facts: dict[str, object]) -> None:
+        if facts["query"] == READY:
             self._answers = True
             self._tell_all(self._state())
             return
-        known = self._asked.pop(int(str(told["query"])), None)
+        known = self._asked.pop(int(str(facts["query"])), None)
         if known:
             client, since, asked = known
             ms = 1000 * (asyncio.get_running_loop().time() - since)
             what = {"first": asked.first, "last": asked.last}
-            client.give(encode({"t": "near", **what, "ms": round(ms, 2), "found": told["found"]}))
+            client.give(encode({"t": "near", **what, "ms": round(ms, 2), "found": facts["found"]}))
 
     def _tell_all(self, message: bytes) -> None:
         for client in self.clients:

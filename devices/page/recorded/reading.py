@@ -171,17 +171,17 @@ class RecordedViews:
                 break
         return messages.newest(stream, spec, 0, *found, self.begin) if found else None
 
-    def build(self, told: Callable[[bytes], None]) -> None:
+    def build(self, send: Callable[[bytes], None]) -> None:
         """Have a pyramid of every signal: the recorder's, or one made in a pass over all its samples. Reports progress and
         the gaps that were found; called on a thread of its own. Of a damaged recording it reports why there is no more to see."""
         try:
             with reading(self.recording.path, "a recording"), np.errstate(all="ignore"):
-                self._build(told)
+                self._build(send)
         except KinegraphError as error:
             log.warning("cannot be seen as a whole", error=str(error))
-            told(encode({"t": "progress", "share": 1, "what": f"cannot be seen as a whole: {error}"}))
+            send(encode({"t": "progress", "share": 1, "what": f"cannot be seen as a whole: {error}"}))
 
-    def _build(self, told: Callable[[bytes], None]) -> None:
+    def _build(self, send: Callable[[bytes], None]) -> None:
         signals = [
             i for i, spec in enumerate(self.specs) if kind_of(spec) == "signal" and self._streams[i].first is not None
         ]
@@ -193,8 +193,8 @@ class RecordedViews:
                     self.pyramids[stream] = Pyramid.seen(
                         self.specs[stream], overviews, source.first or 0, source.last or 0, most
                     )
-                    told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
-            self._find_moments(own, told)
+                    send(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
+            self._find_moments(own, send)
         signals = [stream for stream in signals if stream not in self.pyramids]
         for done, stream in enumerate(signals):
             source = self._streams[stream]
@@ -205,16 +205,16 @@ class RecordedViews:
                 nonlocal shown
                 if (percent := int(100 * (done + share) / len(signals))) > shown:
                     shown = percent
-                    told(encode({"t": "progress", "share": percent / 100, "what": "reading"}))
+                    send(encode({"t": "progress", "share": percent / 100, "what": "reading"}))
 
             with Recording.open(self.recording.path) as own:
                 pyramid.build(own.chunks(self.names[stream]), progress)
             self.pyramids[stream] = pyramid
-            told(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
+            send(encode({"t": "gaps", "s": stream, "gaps": self._gaps(stream)}))
         self.whole = True
-        told(encode({"t": "progress", "share": 1, "what": "reading"}))
+        send(encode({"t": "progress", "share": 1, "what": "reading"}))
 
-    def _find_moments(self, own: Recording, told: Callable[[bytes], None]) -> None:
+    def _find_moments(self, own: Recording, send: Callable[[bytes], None]) -> None:
         """When there were events, for the time line (s)."""
         for stream, spec in enumerate(self.specs):
             if kind_of(spec) == "events" and stream != self._marks_at:
@@ -226,7 +226,7 @@ class RecordedViews:
                     pieces, first = np.unique(np.floor(at / piece), return_index=True)
                     found = dict(zip(pieces.tolist(), at[first].tolist(), strict=True)) | found
                 self.moments[stream] = [found[k] for k in sorted(found)]
-                told(encode({"t": "moments", "s": stream, "at": self.moments[stream]}))
+                send(encode({"t": "moments", "s": stream, "at": self.moments[stream]}))
 
     def _gaps(self, stream: int) -> list[list[float]]:
         pyramid = self.pyramids.get(stream)

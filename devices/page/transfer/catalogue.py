@@ -169,12 +169,12 @@ def words_of(graph: Graph) -> list[str]:
         for n in graph.nodes.values()
         if any(isinstance(graph.nodes[e.node].part, Annotations) for e in n.inputs.values())
     ]
-    said: list[str] = []
+    offered: list[str] = []
     for node in heard:
         if isinstance(node.part, Operator):
             with blaming(node.name, "words"):
-                said += node.part.annotations_understood()
-    return [word[:MOST_TEXT] for word in dict.fromkeys(said)][:MOST_WORDS]
+                offered += node.part.annotations_understood()
+    return [word[:MOST_TEXT] for word in dict.fromkeys(offered)][:MOST_WORDS]
 
 
 def own_panels(

@@ -55,9 +55,9 @@ class Handover:
         with self._writing:
             lines, self.lines = self.lines, []
         (state, self.state), (pace, self.pace) = (self.state, b""), (self.pace, b"")
-        told: list[PipeMessage] = [[part] for part in (*lines, state, pace) if part]
-        told += map(message, self.channel.pictures())
-        while not self.channel.hand_over(*told) and self.channel.is_led and not self._over.is_set():
+        messages: list[PipeMessage] = [[part] for part in (*lines, state, pace) if part]
+        messages += map(message, self.channel.pictures())
+        while not self.channel.hand_over(*messages) and self.channel.is_led and not self._over.is_set():
             pipe.wait(SEEN_TICK_S)
 
     def give_last(self, pipe: ServerPipe) -> None:
@@ -73,6 +73,6 @@ class Handover:
 
 def log_line(at: float, level: str, event: str, facts: Mapping[str, Any]) -> bytes:
     """A line of the log as the server takes it; `at`: Unix time (s)."""
-    told = ", ".join(f"{key} {value}" for key, value in facts.items())
-    text = plain(f"{event}{': ' if told else ''}{told}")[:500]
+    line = ", ".join(f"{key} {value}" for key, value in facts.items())
+    text = plain(f"{event}{': ' if line else ''}{line}")[:500]
     return encode({"t": "log", "line": {"at": at, "level": level, "text": text}})

@@ -99,10 +99,12 @@ class Facts:
     def load(folder: Path) -> Facts:
         """Raises NightError."""
         try:
-            told = json.loads((folder / FACTS).read_text(encoding="utf-8"))
-            if told["version"] > VERSION:
-                raise NightError(f"{folder}: written by a newer kinegraph (format {told['version']}); update this one")
-            facts = Facts(**{f.name: told[f.name] for f in fields(Facts) if f.name in told})
+            record = json.loads((folder / FACTS).read_text(encoding="utf-8"))
+            if record["version"] > VERSION:
+                raise NightError(
+                    f"{folder}: written by a newer kinegraph (format {record['version']}); update this one"
+                )
+            facts = Facts(**{f.name: record[f.name] for f in fields(Facts) if f.name in record})
             facts.check()
             return facts
         except FileNotFoundError:

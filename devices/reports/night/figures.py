@@ -200,11 +200,11 @@ def _map(figure: Figure, axes: Axes, motion: Samples) -> None:
     bar.outline.set_linewidth(0.4)
 
 
-def _table(figure: Figure, rows: list[ReportRow], top: float, none: str) -> None:
+def _table(figure: Figure, rows: list[ReportRow], top: float, nothing: str) -> None:
     figure.text(0.07, top, "The night in numbers", fontsize=9, weight="bold", color=INK, va="top")
     y = top - 0.026
     if not rows:
-        figure.text(0.07, y, none, fontsize=8, va="top")
+        figure.text(0.07, y, nothing, fontsize=8, va="top")
     for row in rows:
         figure.text(0.07, y, row.name, fontsize=8, va="top")
         figure.text(0.405, y, row.value, fontsize=8, va="top", weight="bold", ha="right")

@@ -94,7 +94,8 @@ class NightLog(Outlet[LogState, LogRuntime]):
         runtime.zone = archive.zone_of(self.timezone)
         self.state.run = self.state.run or uuid.uuid4().hex
         runtime.writer = NightWriter(
-            root, self.state, self._facts, sleeper=self.sleeper, told="seen" in runtime.specs, keep_days=self.keep_days, report=self.report
+            root, self.state, self._facts, sleeper=self.sleeper, has_seen="seen" in runtime.specs,
+            keep_days=self.keep_days, report=self.report,
         )  # fmt: skip
         runtime.writer.resume(runtime.now, runtime.held)
 

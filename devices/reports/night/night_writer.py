@@ -41,13 +41,13 @@ class NightWriter:
         facts_of: Callable[[int], Facts],
         *,
         sleeper: str,
-        told: bool,
+        has_seen: bool,
         keep_days: float,
         report: bool,
     ) -> None:
         """`keep_days`: older nights are deleted, 0: none is; `report`: whether nights are drawn."""
         self.root, self._state, self._facts_of = root, state, facts_of
-        self._sleeper, self._told, self._keep_days = sleeper, told, keep_days
+        self._sleeper, self._told, self._keep_days = sleeper, has_seen, keep_days
         self._renderer = ReportRenderer() if report else None
         self.night: OpenNight | None = None
         self._over: list[OpenNight] = []

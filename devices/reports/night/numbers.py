@@ -148,16 +148,16 @@ def quality(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
     if not n:
         return [("Epochs", "none")]
     lost = unseen(epochs)
-    told = [("Epochs", f"{n} of {facts.epoch_s:g} s; {int((epochs.texts['state'] == 'unknown').sum())} unknown")]
+    lines = [("Epochs", f"{n} of {facts.epoch_s:g} s; {int((epochs.texts['state'] == 'unknown').sum())} unknown")]
     if lost:
-        told.append(("Not scored", "; ".join(_when(s, zone) for s in lost[:12]) + ("; …" if len(lost) > 12 else "")))
-    told += _disturbed(facts, epochs)
+        lines.append(("Not scored", "; ".join(_when(s, zone) for s in lost[:12]) + ("; …" if len(lost) > 12 else "")))
+    lines += _disturbed(facts, epochs)
     if facts.breaks:
         whole = [Stretch(int(a), int(b), "") for a, b in facts.breaks]
-        told.append(("kinegraph did not run", "; ".join(_when(s, zone) for s in whole[:12])))
+        lines.append(("kinegraph did not run", "; ".join(_when(s, zone) for s in whole[:12])))
     if begun_after(facts, epochs):
         since = clock(int(facts.numbers["onset"]), zone)
-        told.append(
+        lines.append(
             (
                 "Numbers",
                 f"of the time from {since:%H:%M} on alone: kinegraph was stopped before, and a new session began",
@@ -167,7 +167,7 @@ def quality(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
     if np.isfinite(seen).any():
         poor = int((seen < LEAST_SEEN).sum())
         below = f"below one half in {poor} epoch{'' if poor == 1 else 's'}"
-        told.append(
+        lines.append(
             (
                 "Frames seen and valid",
                 f"{_share(float(np.nanmean(seen)))} on average; {below}",
@@ -177,20 +177,20 @@ def quality(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
     both = (first != "") & (first != "unknown") & (epochs.texts["state"] != "unknown")
     if both.any():
         changed = int((first != epochs.texts["state"])[both].sum())
-        told.append(("Provisional state corrected", f"in {changed} epochs ({100 * changed / both.sum():.1f} %)"))
+        lines.append(("Provisional state corrected", f"in {changed} epochs ({100 * changed / both.sum():.1f} %)"))
     crosstalk = epochs.numbers["crosstalk"]
     if (crosstalk > LEAST_SEEN).any():
-        told.append(("Movement that may be the partner's", f"in {int((crosstalk > LEAST_SEEN).sum())} epochs"))
+        lines.append(("Movement that may be the partner's", f"in {int((crosstalk > LEAST_SEEN).sum())} epochs"))
     breaths = epochs.numbers["breaths_per_min"]
     if np.isfinite(breaths).any():
         confidence = float(np.nanmean(epochs.numbers["confidence"][np.isfinite(breaths)]))
-        told.append(
+        lines.append(
             (
                 "Breathing",
                 f"known in {_share(np.isfinite(breaths).mean())} of all epochs; mean confidence {confidence:.2f}",
             )
         )
-    return told
+    return lines
 
 
 WHY = {
@@ -209,15 +209,15 @@ WHY = {
 def _disturbed(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
     """When the camera was moved, and why epochs were not judged."""
     zone = night_zone(facts)
-    told = []
+    rows = []
     if facts.moved:
-        told.append(
+        rows.append(
             ("The camera was moved", "at " + ", ".join(f"{clock(int(m[0]), zone):%H:%M}" for m in facts.moved[:12]))
         )
     why = epochs.texts.get("why", np.empty(0, "U12"))
     counts = [(int((why == name).sum()), words) for name, words in WHY.items()]
     reasons = [f"{words}: {n} epoch{'' if n == 1 else 's'}" for n, words in counts if n]
-    return [*told, ("Not judged because", "; ".join(reasons))] if reasons else told
+    return [*rows, ("Not judged because", "; ".join(reasons))] if reasons else rows
 
 
 def runs(which: np.ndarray) -> list[tuple[int, int]]:

@@ -114,8 +114,8 @@ HEADLINE = ("Total sleep", "Sleep efficiency", "Sleep onset", "Wake after", "Bed
 def title(facts: Facts) -> str:
     """Which night it is: the evening's date, as in the folder's name."""
     evening = archive.evening(int(facts.numbers.get("onset", facts.begun)), night_zone(facts))
-    whose = f", {facts.sleeper}" if facts.sleeper else ""
-    return f"Night of {evening:%A}, {evening.day} {evening:%B %Y}{whose}"
+    owner = f", {facts.sleeper}" if facts.sleeper else ""
+    return f"Night of {evening:%A}, {evening.day} {evening:%B %Y}{owner}"
 
 
 def line(facts: Facts, epochs: LoggedEpochs) -> str:
@@ -141,17 +141,17 @@ def line(facts: Facts, epochs: LoggedEpochs) -> str:
 def _method(facts: Facts) -> str:
     meta = facts.meta
     names = {"thesis": "Gaussian-weighted share of epochs with movement (Patterns in Motion, 4.3)"}
-    told = [names.get(str(meta.get("method")), str(meta.get("method", "")).replace("_", " "))]
+    lines = [names.get(str(meta.get("method")), str(meta.get("method", "")).replace("_", " "))]
     if meta.get("threshold") is not None:
-        told.append(
+        lines.append(
             f"wake from {meta['threshold']:g} on"
             if meta.get("method") == "thesis"
             else f"threshold {meta['threshold']:g}"
         )
-    told.append("with Webster's rescoring" if meta.get("rescored") else "no rescoring")
+    lines.append("with Webster's rescoring" if meta.get("rescored") else "no rescoring")
     if meta.get("calibration"):
-        told.append(f"calibration {meta['calibration']}")
-    return ", ".join(told)
+        lines.append(f"calibration {meta['calibration']}")
+    return ", ".join(lines)
 
 
 def _picture(facts: Facts, epochs: LoggedEpochs, motion: Samples | None, rows: list[ReportRow]) -> bytes:

@@ -90,9 +90,9 @@ class NightsFolder:
     sleeper: str
     most: int
     read: dict[str, tuple[Stamps, NightRow]] = field(default_factory=dict)
-    told: dict[str, dict[str, tuple[Any, ...]]] = field(default_factory=lambda: {"out": {}, "weeks": {}})
+    sent: dict[str, dict[str, tuple[Any, ...]]] = field(default_factory=lambda: {"out": {}, "weeks": {}})
     missed: set[str] = field(default_factory=set)
-    said: set[str] = field(default_factory=set)
+    reported: set[str] = field(default_factory=set)
 
     def look(self) -> dict[str, list[tuple[Any, ...]]]:
         """The events that are new, by output."""
@@ -101,14 +101,14 @@ class NightsFolder:
             "out": {one.name: _night(one) for one in found},
             "weeks": {name: _week(name, found, first, last) for name, first, last in by_weeks(found)},
         }
-        for name in self.told["out"].keys() - now["out"].keys():
+        for name in self.sent["out"].keys() - now["out"].keys():
             nan = (float("nan"),) * 6
-            now["out"][name] = (name, self.told["out"][name][1], DELETED, *nan, "")
+            now["out"][name] = (name, self.sent["out"][name][1], DELETED, *nan, "")
         news = {
-            output: [event for key, event in rows.items() if repr(event) != repr(self.told[output].get(key))]
+            output: [event for key, event in rows.items() if repr(event) != repr(self.sent[output].get(key))]
             for output, rows in now.items()
         }
-        self.told = now
+        self.sent = now
         return news
 
     def _rows(self) -> list[NightRow]:
@@ -125,9 +125,9 @@ class NightsFolder:
                 kept[folder.name] = before if same and before else (stamps, row(folder, facts))
             except (archive.NightError, OSError) as error:
                 missed.add(str(error))
-        for why in sorted(missed & self.missed - self.said):
+        for why in sorted(missed & self.missed - self.reported):
             log.warning("a night is left out", error=why)
-            self.said.add(why)
+            self.reported.add(why)
         self.missed, self.read = missed, kept
         return [one for _, one in kept.values()]
 

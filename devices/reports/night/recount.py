@@ -18,10 +18,10 @@ def recounted(facts: Facts, epochs: LoggedEpochs) -> dict[str, Any]:
     What was final before a power cut is in the log. The session that goes on has lost the newest frames, scores those epochs as not
     seen, and its statistics count them so. Before the log's first epoch nobody was in bed: that is wake.
     """
-    told = facts.numbers
-    begin, end = int(told["onset"]), int(told["end"])
+    numbers = facts.numbers
+    begin, end = int(numbers["onset"]), int(numbers["end"])
     if not any(begin < until and since < end for since, until in facts.breaks):
-        return told
+        return numbers
     step = round(facts.epoch_s * NS)
     n = round((end - begin) / step)
     place = (epochs.onset + step // 2 - begin) // step
@@ -32,9 +32,9 @@ def recounted(facts: Facts, epochs: LoggedEpochs) -> dict[str, Any]:
     for name, code in zip(NAMES.tolist(), range(len(NAMES)), strict=True):
         states[place[here & (epochs.texts["state"] == name)]] = code
     activity[place[here]] = epochs.numbers["activity"][here]
-    found = asdict(night(states, activity, facts.epoch_s / 60, told["convention"]))
+    found = asdict(night(states, activity, facts.epoch_s / 60, numbers["convention"]))
     asleep = np.flatnonzero(states == SLEEP)
     slept = len(asleep) > 0 and found["first"] < n
-    stop = found["stop"] if told["convention"] == "Actiware" else int(asleep[-1]) + 1 if slept else 0
+    stop = found["stop"] if numbers["convention"] == "Actiware" else int(asleep[-1]) + 1 if slept else 0
     found["sleep_onset"], found["sleep_end"] = (begin + found["first"] * step, begin + stop * step) if slept else (0, 0)
-    return {**told, **{name: None if value != value else value for name, value in found.items() if name in told}}
+    return {**numbers, **{name: None if value != value else value for name, value in found.items() if name in numbers}}

@@ -60,9 +60,9 @@ def withdrawn(facts: dict[str, Any]) -> bool:
 
 def seen(row: Any) -> dict[str, Any]:
     crosstalk = row["crosstalk"] if "crosstalk" in row.dtype.names else np.nan
-    told = {"moved_s": row["moved_s"], "seen": row["seen"], "crosstalk": crosstalk}
+    facts = {"moved_s": row["moved_s"], "seen": row["seen"], "crosstalk": crosstalk}
     why = str(row["why"]) if "why" in row.dtype.names else ""
-    return {"bed": str(row["bed"]), "why": why, **{name: number(value) for name, value in told.items()}}
+    return {"bed": str(row["bed"]), "why": why, **{name: number(value) for name, value in facts.items()}}
 
 
 def breathing(row: Any) -> dict[str, Any]:

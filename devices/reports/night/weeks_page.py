@@ -129,24 +129,24 @@ def _whole(value: float) -> str:
 
 def words(of: Trend) -> list[str]:
     """What several nights say, in sentences; the ones that too few nights allow are left out."""
-    told = [f"{_many(of.nights, 'night')}, {_many(of.naps, 'nap')}, {_many(of.missing, 'evening')} without a night."]
+    lines = [f"{_many(of.nights, 'night')}, {_many(of.naps, 'nap')}, {_many(of.missing, 'evening')} without a night."]
     if of.unfinished:
-        told.append(f"{_many(of.unfinished, 'night')} without numbers.")
+        lines.append(f"{_many(of.unfinished, 'night')} without numbers.")
     if of.nights:
-        told.append(f"Asleep {in_hours(of.asleep)} a night, {of.efficiency:.0f} % of the time in bed.")
-        told.append(f"In bed from {hour_of_day(of.bed)} to {hour_of_day(of.rise)} on average.")
+        lines.append(f"Asleep {in_hours(of.asleep)} a night, {of.efficiency:.0f} % of the time in bed.")
+        lines.append(f"In bed from {hour_of_day(of.bed)} to {hour_of_day(of.rise)} on average.")
     if of.bed_sd == of.bed_sd:
-        told.append(f"Bed time scatters by {60 * of.bed_sd:.0f} min, rise time by {60 * of.rise_sd:.0f} min (SD).")
+        lines.append(f"Bed time scatters by {60 * of.bed_sd:.0f} min, rise time by {60 * of.rise_sd:.0f} min (SD).")
     if of.jet_lag == of.jet_lag:
         way = "later" if of.jet_lag >= 0 else "earlier"
-        told.append(
+        lines.append(
             f"Social jet lag: before free mornings the middle of sleep lies {60 * abs(of.jet_lag):.0f} min {way}."
         )
     if of.regularity == of.regularity:
-        told.append(
+        lines.append(
             f"Sleep regularity index: {of.regularity:.0f} (of {of.pairs} pairs of days; 100: every day the same)."
         )
-    return told
+    return lines
 
 
 def _many(number: int, what: str) -> str:

@@ -110,8 +110,8 @@ def readable(folder: Path) -> archive.LoggedEpochs:
         return archive.read_epochs(folder)
     except archive.NightError as error:
         log.error("a night cannot be read", folder=str(folder), error=str(error))
-        none = np.empty(0, np.int64)
-        return archive.LoggedEpochs(none, none, {}, {})
+        nothing = np.empty(0, np.int64)
+        return archive.LoggedEpochs(nothing, nothing, {}, {})
 
 
 def write_map(folder: Path, frame: Array) -> bool:

@@ -84,16 +84,16 @@ def compose(tally: Tally, specs: Specs, graph: Graph | None, names: Mapping[str,
 
 
 def _facts(tally: Tally, specs: Specs, session: Mapping[str, Any]) -> list[tuple[str, str]]:
-    told = list(labels.facts(session))
+    rows = list(labels.facts(session))
     if tally.started > A_DATE:
         begun = str(np.datetime64(tally.started, "ns").astype("datetime64[s]"))
-        told.append(("Begun", f"{begun.replace('T', ' ')} UTC"))
+        rows.append(("Begun", f"{begun.replace('T', ' ')} UTC"))
     meta = specs["cycles"].meta
-    if meta.get("side") and "Side" not in dict(told):
-        told.append(("Side", str(meta["side"])))
+    if meta.get("side") and "Side" not in dict(rows):
+        rows.append(("Side", str(meta["side"])))
     if meta.get("simulated"):
-        told.append(("Signal", "simulated"))
-    return told
+        rows.append(("Signal", "simulated"))
+    return rows
 
 
 def _rejections(tally: Tally) -> list[Rejected]:
@@ -138,14 +138,14 @@ def _reason(reason: str) -> str:
 
 def _streams(tally: Tally, specs: Specs, names: Mapping[str, str]) -> list[Stream]:
     """The raw signal; where it is not connected, the cycles."""
-    told = []
+    rows = []
     for port, (n, gaps, lost) in zip(specs, tally.heard, strict=True):
         if port == "emg" or (port == "cycles" and "emg" not in specs):
             spec = specs[port]
             rate = f" at {spec.rate_hz:g} Hz" if spec.rate_hz else ""
             what = f"{len(spec.channels)} muscles{rate}, {spec.units[0]}"
-            told.append(Stream(names.get(port, port), what, int(n), int(gaps), int(lost)))
-    return told
+            rows.append(Stream(names.get(port, port), what, int(n), int(gaps), int(lost)))
+    return rows
 
 
 def _remark(tally: Tally, specs: Specs, i: int) -> str:

@@ -52,8 +52,8 @@ def nothing_held(specs: Specs) -> Held:
 
 def _no_flags(specs: Specs) -> list[str]:
     """One per muscle, if flags are reported."""
-    told = "statistics" in specs and "flag" in (specs["statistics"].dtype.names or ())
-    return [""] * specs["cycles"].shape[1] if told else []
+    text = "statistics" in specs and "flag" in (specs["statistics"].dtype.names or ())
+    return [""] * specs["cycles"].shape[1] if text else []
 
 
 def header(specs: Specs) -> bytes:

@@ -120,12 +120,12 @@ def quality_sentence(muscles: list[Muscle]) -> str:
         if not bad
         else f"{len(judged) - len(bad)} of {len(judged)} channels are good"
     )
-    told = [
+    lines = [
         f"{good}.",
         f"Look at: {'; '.join(bad)}." if bad else "",
         f"At times not good: {'; '.join(at_times)}." if at_times else "",
     ]
-    return " ".join(part for part in told if part)
+    return " ".join(part for part in lines if part)
 
 
 def _because(muscle: Muscle) -> str:
@@ -134,32 +134,32 @@ def _because(muscle: Muscle) -> str:
 
 def limits(report: Report) -> list[str]:
     """What a reader must know before drawing conclusions."""
-    told = []
+    rows = []
     if not report.accepted:
-        told.append("No cycle was accepted, so this page says nothing of the muscles; only the signals were judged.")
+        rows.append("No cycle was accepted, so this page says nothing of the muscles; only the signals were judged.")
     elif report.accepted < 10:
-        told.append(
+        rows.append(
             f"Only {report.accepted} cycles were accepted. Means and standard deviations of so few are uncertain; the variance ratio"
             " is given from ten cycles on."
         )
     if report.unnamed:
-        told.append(
+        rows.append(
             f"Of {', '.join(report.unnamed)} nobody looked whether the electrodes were on another muscle from the start: their names say no"
             " muscle whose activity in walking is known (`muscles` of TimingWatch says which it is)."
         )
-    told += [WATCHES[port].format(n) for port, n in report.unjudged if port in WATCHES]
+    rows += [WATCHES[port].format(n) for port, n in report.unjudged if port in WATCHES]
     if report.envelopes and report.normalisation in ("", "none"):
-        told.append(
+        rows.append(
             "Amplitudes are not normalised. They depend on electrodes, skin and their exact place: compare shapes and times between people"
             " and sessions, not sizes, and do not compare sizes between muscles."
         )
     if report.envelopes:
-        told.append(
+        rows.append(
             "Surface electrodes also pick up neighbouring muscles (cross-talk), most of all over thin or deep ones. An envelope shows when"
             " a muscle's region was electrically active; it is not a force."
         )
     return [
-        *told,
+        *rows,
         "A high variance ratio or coefficient of variation alone says that the cycles are not alike. It does not say why: a loose"
         " electrode and a changing gait look the same there. The signal verdict judges the electrode, from clipping, flat line, mains hum,"
         " baseline noise and artefacts.",

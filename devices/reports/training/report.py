@@ -158,8 +158,8 @@ def _row(event: Any, began: int) -> list[Any]:
     numbers = [event["duration_s"], event["range"], event["distance"], event["sure"], event["symmetry"]]
     duration, reach, distance, sure, alike = ("" if np.isnan(v) else f"{v:.6g}" for v in numbers)
     start = f"{(int(event['onset']) - began) / NS:.3f}"
-    whose = (int(event["activity"]), int(event["repetition"]), str(event["name"]))
-    return [*whose, start, duration, reach, str(event["moves"]), distance, sure, int(event["side"]), alike]
+    owner = (int(event["activity"]), int(event["repetition"]), str(event["name"]))
+    return [*owner, start, duration, reach, str(event["moves"]), distance, sure, int(event["side"]), alike]
 
 
 def _lines(rows: list[Any]) -> bytes:

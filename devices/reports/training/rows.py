@@ -178,11 +178,11 @@ def _next(sets: Array, k: int, all_: Array) -> float:
     return float(starts.min() if len(starts) else sets["onset"][k + 1])
 
 
-def whole_repetitions(told: Array) -> Array:
+def whole_repetitions(rows: Array) -> Array:
     """One row per repetition: of two steps the durations add up, the range is the larger, the distance the mean."""
-    made = told[:0].copy()
-    for number in dict.fromkeys(told["repetition"].tolist()):
-        steps = told[told["repetition"] == number]
+    made = rows[:0].copy()
+    for number in dict.fromkeys(rows["repetition"].tolist()):
+        steps = rows[rows["repetition"] == number]
         row = steps[:1].copy()
         row["duration_s"], row["range"], row["distance"], row["symmetry"] = (
             steps["duration_s"].sum(), steps["range"].max(), steps["distance"].mean(), steps["symmetry"][-1],

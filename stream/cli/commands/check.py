@@ -85,8 +85,10 @@ def _narrow(graph: Graph, planned: Plan, width: int) -> str:
     lines += ["", "paths"]
     for path in planned.paths:
         lines.append(fill(str(path), width, subsequent_indent="    ", break_on_hyphens=False))
-        told = f"{path.explain()}; memory {size(path.memory_bytes)}"
-        lines.append(fill(told, width, initial_indent="  delay ", subsequent_indent=" " * 10, break_on_hyphens=False))
+        message = f"{path.explain()}; memory {size(path.memory_bytes)}"
+        lines.append(
+            fill(message, width, initial_indent="  delay ", subsequent_indent=" " * 10, break_on_hyphens=False)
+        )
     if planned.decisions:
         lines += ["", "events, at the latest"]
     for decided in planned.decisions:
@@ -145,8 +147,8 @@ def _events(planned: Plan) -> Table:
 
 def _after(decided: Decision) -> str:
     """When an event comes: "200 ms after its end or onset, 240 ms with the delay of its input"."""
-    told = f"{delay(decided.after_s)} after its end or onset"
-    return f"{told}, {delay(decided.total_s)} with the delay of what it is found in"
+    text = f"{delay(decided.after_s)} after its end or onset"
+    return f"{text}, {delay(decided.total_s)} with the delay of what it is found in"
 
 
 def _unread(graph: Graph) -> list[str]:
@@ -165,8 +167,8 @@ def _verdict(graph: Graph, planned: Plan) -> Text:
     slowest = planned.slowest
     late = delay(slowest.delay_s if slowest else 0.0)
     budget = f" (budget {graph.latency_budget_ms:g} ms)" if graph.latency_budget_ms else ""
-    told = f": delay at most {late}{budget}, memory about {size(planned.memory_bytes)}"
-    return Text.assemble(("OK", "bold green"), told)
+    text = f": delay at most {late}{budget}, memory about {size(planned.memory_bytes)}"
+    return Text.assemble(("OK", "bold green"), text)
 
 
 def size(n: int) -> str:

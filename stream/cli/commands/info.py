@@ -83,9 +83,9 @@ def _stream_facts(stream: RecordedStream) -> dict[str, Any]:
 
 def devices(recording: Recording) -> dict[str, dict[str, Any]]:
     """By source: what it said last of its device, {"device": kind, "serial": ..., "firmware": ...}."""
-    said = [entry for entry in recording.log if entry["kind"] == "device"]
+    entries = [entry for entry in recording.log if entry["kind"] == "device"]
     hidden = ("time", "kind", "node", "level")
-    return {str(e.get("node")): {k: v for k, v in e.items() if k not in hidden} for e in said}
+    return {str(e.get("node")): {k: v for k, v in e.items() if k not in hidden} for e in entries}
 
 
 def clocks(recording: Recording) -> dict[str, dict[str, Any]]:
@@ -107,12 +107,12 @@ def clocks(recording: Recording) -> dict[str, dict[str, Any]]:
 
 def agreement(known: dict[str, dict[str, Any]]) -> list[str]:
     """How far apart the stamps of two devices may be beside the constant parts of their delays, in words, for each pair."""
-    told = []
+    rows = []
     for (a, first), (b, second) in combinations(known.items(), 2):
         apart = first["uncertainty_s"] + second["uncertainty_s"]
         unsure = " (still settling)" if first["settling"] or second["settling"] else ""
-        told.append(f"{a} and {b} agree within {1e3 * apart:.1f} ms{unsure}")
-    return told
+        rows.append(f"{a} and {b} agree within {1e3 * apart:.1f} ms{unsure}")
+    return rows
 
 
 def marks(recording: Recording) -> list[dict[str, Any]]:
@@ -136,8 +136,8 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
     state = "" if recording.finished else f" ({how})"
     size = sum(part.file.size for part in recording.parts) / 1e6
     parts = f", {len(recording.parts)} parts" if len(recording.parts) > 1 else ""
-    told = f": {duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"
-    console.print(Text.assemble((str(recording.path), "bold"), (state, "yellow"), told))
+    text = f": {duration(recording.duration_ns / 1e9)}, {size:.1f} MB{parts}"
+    console.print(Text.assemble((str(recording.path), "bold"), (state, "yellow"), text))
     if (
         recording.streams
         and (first := min((s.first for s in recording.streams.values() if s.first is not None), default=None))

@@ -131,7 +131,7 @@ class LiveEdge:
 
     origin   which output of which node it is
     send     brings a chunk to all who read the edge: `carry`, until the pipeline compiles the segment behind it
-    told     its watermark: the `until` of the newest chunk
+    promised its watermark: the `until` of the newest chunk
     slot     of the worker that its node runs on; None: what comes was checked where it entered (a source's, a recording's)
     strict   whether the ends of stamps are checked, too, whoever observes the edge
     reached  how far its node's inputs are
@@ -140,7 +140,7 @@ class LiveEdge:
 
     __slots__ = (
         *("gaps", "lost", "observers", "origin", "pending_gap", "reached"),
-        *("readers", "samples", "send", "slot", "spec", "strict", "told"),
+        *("readers", "samples", "send", "slot", "spec", "strict", "promised"),
     )
 
     def __init__(
@@ -150,7 +150,7 @@ class LiveEdge:
         self.observers: list[Observer] = []
         self.readers: list[Push] = []
         self.pending_gap = self.gaps = self.lost = self.samples = 0
-        self.told = NEVER
+        self.promised = NEVER
         self.strict = False
         self.send: Push = self.carry
 
@@ -162,12 +162,12 @@ class LiveEdge:
     def check(self, chunk: Chunk) -> None:
         """Raise PromiseError where the node gave what its spec, its watermark or its inputs rule out."""
         if self.slot is not None:
-            what = broken(self.spec, chunk, self.told)
+            what = broken(self.spec, chunk, self.promised)
             if not what and self.looks_at_ends:
-                what = ends(chunk, self.told, self.reached())
+                what = ends(chunk, self.promised, self.reached())
             if what:
                 raise PromiseError(self.origin.node, self.origin.output, what, chunk)
-        self.told = max(self.told, int(chunk.until))
+        self.promised = max(self.promised, int(chunk.until))
 
     def carry(self, chunk: Chunk, start: int) -> int:
         """Bring a chunk of any kind to all who read the edge; along operators in a row without recursion, however many."""

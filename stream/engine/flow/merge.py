@@ -27,9 +27,9 @@ class Merge:
         "_next",
         "_pending",
         "_ports",
+        "_promised",
         "_stamps",
         "_start",
-        "_told",
         "_until",
     )
 
@@ -48,7 +48,7 @@ class Merge:
         self._stamps: list[list[int]] = [[] for _ in range(n)]
         """The stamps of each port's first pending chunk, once it had to be cut."""
         self._until = [NEVER] * n
-        self._told = [NEVER] * n
+        self._promised = [NEVER] * n
         self._lost = [0] * n
 
     def push(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
@@ -65,9 +65,9 @@ class Merge:
         while (earliest := min(self._next)) <= frontier and earliest != FOREVER:
             first = self._next.index(earliest)
             pieces.append((self._ports[first], self._take(first, frontier)))
-        for j, told in enumerate(self._told):
-            if told < frontier:
-                self._told[j] = frontier
+        for j, promised in enumerate(self._promised):
+            if promised < frontier:
+                self._promised[j] = frontier
                 nothing = self._empty[j]
                 pieces.append((self._ports[j], Chunk(nothing.time, nothing.data, frontier)))
         return pieces
@@ -82,11 +82,11 @@ class Merge:
 
     def _take(self, first: int, frontier: int) -> Chunk:
         """The longest run of one port's first pending chunk that precedes what is pending on the others, cut at the frontier."""
-        limit = told = frontier
+        limit = promised = frontier
         for j, time in enumerate(self._next):
             if time <= frontier and j != first and time != FOREVER:
-                if time <= told:
-                    told = time - 1
+                if time <= promised:
+                    promised = time - 1
                 if self._in_turn:
                     limit = min(limit, time if j > first else time - 1)
         queue = self._pending[first]
@@ -105,20 +105,20 @@ class Merge:
             stop = self._start[first] = bisect_right(stamps, limit, start)
             self._next[first] = stamps[stop]
             after = stamps[stop] - 1
-        if after < told:
-            told = after
-        if told < self._told[first]:
-            told = self._told[first]
-        self._told[first] = told
+        if after < promised:
+            promised = after
+        if promised < self._promised[first]:
+            promised = self._promised[first]
+        self._promised[first] = promised
         if stop - start == size:
-            return chunk if chunk.until == told else Chunk(chunk.time, chunk.data, told, chunk.lost)
-        return Chunk(chunk.time[start:stop], chunk.data[start:stop], told, 0 if start else chunk.lost)
+            return chunk if chunk.until == promised else Chunk(chunk.time, chunk.data, promised, chunk.lost)
+        return Chunk(chunk.time[start:stop], chunk.data[start:stop], promised, 0 if start else chunk.lost)
 
     def snapshot(self) -> dict[str, Array]:
         """What is held back, as plain arrays."""
         arrays: dict[str, Array] = {
             "until": np.array(self._until, np.int64),
-            "told": np.array(self._told, np.int64),
+            "told": np.array(self._promised, np.int64),
             "lost": np.array(self._lost, np.int64),
         }
         for j, queue in enumerate(self._pending):
@@ -135,7 +135,7 @@ class Merge:
     def restore(self, arrays: dict[str, Array]) -> None:
         """Go on from a snapshot of a merge of the same ports."""
         self._until = arrays["until"].tolist()
-        self._told = arrays["told"].tolist()
+        self._promised = arrays["told"].tolist()
         self._lost = arrays["lost"].tolist()
         for j in range(len(self._ports)):
             time, data = arrays[f"{j}.time"], arrays[f"{j}.data"]

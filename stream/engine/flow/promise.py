@@ -30,7 +30,7 @@ class PromiseError(RunError):
         super().__init__(f"{kind} {node!r}, output {output!r}: gave {what}{_at(chunk)}")
 
 
-def broken(spec: StreamSpec, chunk: Chunk, told: int) -> str:
+def broken(spec: StreamSpec, chunk: Chunk, promised: int) -> str:
     """What is wrong with the shape, dtype or watermark of a chunk; "" if nothing. `told` is the watermark so far."""
     time, data, until = chunk.time, chunk.data, chunk.until
     if not isinstance(time, np.ndarray) or time.dtype != np.int64 or time.ndim != 1:
@@ -45,20 +45,20 @@ def broken(spec: StreamSpec, chunk: Chunk, told: int) -> str:
             return f"{name}={value!r}, which is no whole number"
     if chunk.lost < -1:
         return f"lost={chunk.lost}; it must be -1 (unknown) or more"
-    if until < told:
-        return f"the watermark {utc(int(until))}, after {utc(told)}; a watermark never goes back"
+    if until < promised:
+        return f"the watermark {utc(int(until))}, after {utc(promised)}; a watermark never goes back"
     return ""
 
 
-def ends(chunk: Chunk, told: int, reached: int) -> str:
+def ends(chunk: Chunk, promised: int, reached: int) -> str:
     """What is wrong with a chunk's first and last stamp; `reached` is how far the node's inputs are."""
     if not len(chunk.time):
         return ""
     first, last = chunk.time.item(0), chunk.time.item(-1)
     if last < first:
         return f"stamps that run backwards, to {utc(last)}"
-    if first <= told:
-        return f"a sample behind its watermark, {utc(told)}"
+    if first <= promised:
+        return f"a sample behind its watermark, {utc(promised)}"
     if last > reached + SLACK_NS:
         return f"a sample at {utc(last)}, ahead of its inputs, which are no further than {utc(reached)}"
     return ""

@@ -33,14 +33,14 @@ class BoundedQueue:
     limit     how many chunks may wait
     bound     how many bytes may wait, where more than `LEAST_CHUNKS` do; 0: no matter how many
     policy    what a full queue does (`stream.graph.backpressure`)
-    on_drop   told (first, n) of every drop: the dropped samples' running index in this queue and their number
+    on_drop   called with (first, n) of every drop: the dropped samples' running index in this queue and their number
     waiting   what waits: chunks, their arrivals, and the running index of their first samples
     gathered  what came after that, which its writer keeps for a moment to take it on together: chunks, and when they came
     pending_gap how many samples were dropped before the next chunk that is taken
     arrival_of  makes an arrival of when a gathered chunk came (ns of the host's monotonic clock)
     index     how many samples have come by, ever
     chunks    and in how many chunks
-    told      the watermark of what has been taken
+    promised  the watermark of what has been taken
     """
 
     __slots__ = (
@@ -61,8 +61,8 @@ class BoundedQueue:
         "owner",
         "pending_gap",
         "policy",
+        "promised",
         "ready",
-        "told",
         "waiting",
     )
 
@@ -86,7 +86,7 @@ class BoundedQueue:
         self.waiting: deque[tuple[Chunk, int, int]] = deque()
         self.gathered: deque[tuple[Chunk, int]] = deque()
         self.pending_gap = 0
-        self.told = NEVER
+        self.promised = NEVER
         self._lock = threading.Lock()
         self._room = threading.Event()
 
@@ -156,7 +156,7 @@ class BoundedQueue:
                 self.pending_gap = 0
         if not self._room.is_set():
             self._room.set()
-        self.told = chunk.until
+        self.promised = chunk.until
         return chunk, arrival
 
     def close(self) -> None:

@@ -134,7 +134,7 @@ class Code:
             "if given.__class__ is not Chunk:",
             *(f"    {line}" for line in noted),
             f"    return {end} if given is None else emit{i}(given, {end})",
-            f"p{b} = edge{b}.told",
+            f"p{b} = edge{b}.promised",
             indent=indent,
         )
         carried = [*(f"        {line}" for line in noted), f"        return carry{b}(given, {end})"]
@@ -143,7 +143,7 @@ class Code:
         broken = self._broken(b, "given", f"c{i}.until")
         self._check(b, "    n = len(given.time)", indent)
         self._check(b, f"    if given.lost or edge{b}.pending_gap or given.until < p{b} or {broken}{untidy}:", indent)
-        self._write(*carried, f"c{b} = given", f"edge{b}.told = c{b}.until", indent=indent)
+        self._write(*carried, f"c{b} = given", f"edge{b}.promised = c{b}.until", indent=indent)
 
     def _process(self, i: int, indent: str) -> None:
         """The call itself; an operator from outside is given views that it cannot write to."""
@@ -189,10 +189,10 @@ class Code:
         return [
             *(["    if c0.__class__ is not Chunk:", "        edge0.check(c0)"] if edge.slot is not None else []),
             *lines,
-            "    p0 = edge0.told",
+            "    p0 = edge0.promised",
             f"    if c0.lost or edge0.pending_gap{broken}{untidy}:",
             "        return carry0(c0, t0)",
-            "    edge0.told = c0.until",
+            "    edge0.promised = c0.until",
         ]
 
     def _broken(self, i: int, chunk: str, reached: str) -> str:

@@ -72,5 +72,7 @@ def _panel(at: Located, wiring: Wiring, problems: Problems, modules: dict[str, P
             return None
         modules[panel.kind] = path
     default = Panel(panel.kind)
-    said = {f.name: getattr(panel, f.name) for f in fields(Panel) if getattr(panel, f.name) != getattr(default, f.name)}
-    return {"kind": panel.kind, "of": [str(edge) for edge in edges], **said}
+    facts = {
+        f.name: getattr(panel, f.name) for f in fields(Panel) if getattr(panel, f.name) != getattr(default, f.name)
+    }
+    return {"kind": panel.kind, "of": [str(edge) for edge in edges], **facts}

@@ -94,7 +94,7 @@ def decode(
         data = (
             np.frombuffer(body, spec.dtype, len(time) * prod(spec.shape), start).copy().reshape(len(time), *spec.shape)
         )
-    nothing, none = time[:0], data[:0]
+    nothing, no_data = time[:0], data[:0]
     entries: list[Entry] = []
     at = 0
     for n, until, lost, arrival, sequence in rows.tolist():
@@ -102,7 +102,7 @@ def decode(
             chunk = Chunk(time[at : at + n], data[at : at + n], until, lost)
             at += n
         else:
-            chunk = Chunk(nothing, none, until, lost)
+            chunk = Chunk(nothing, no_data, until, lost)
         entries.append(Entry(chunk, arrival, sequence))
     if missed and entries:
         entries[0].chunk.lost = add_lost(entries[0].chunk.lost, missed)

@@ -71,8 +71,8 @@ class RecordedFile:
             self.damaged += 1
             return {}
         if head is not None and head.profile != PROFILE:
-            whose = f"profile {head.profile!r}" if head.profile else f"written by {head.library!r}"
-            raise RecordingError(f"{path}: an MCAP file, but not a kinegraph recording ({whose})")
+            owner = f"profile {head.profile!r}" if head.profile else f"written by {head.library!r}"
+            raise RecordingError(f"{path}: an MCAP file, but not a kinegraph recording ({owner})")
         if facts is None:
             raise NothingRecorded(f"{path}: truncated before anything was recorded; nothing can be recovered from it")
         version = facts.get("format", "")

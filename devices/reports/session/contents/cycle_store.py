@@ -19,7 +19,7 @@ class CycleStore:
     seen: int
 
     @staticmethod
-    def none(values: int) -> CycleStore:
+    def empty(values: int) -> CycleStore:
         return CycleStore(np.full((ROOM, 2 + values), -1.0), 0)
 
     def add(self, number: int, muscle: int, values: list[float]) -> None:

@@ -52,7 +52,7 @@ class Groups:
     indices: list[Samples]
 
     @staticmethod
-    def none(specs: Specs) -> Groups:
+    def empty(specs: Specs) -> Groups:
         limbs = list(specs["cycles"].meta.get("limbs") or ())
         feet = list(specs["footfalls"].meta.get("limb_names") or ()) if "footfalls" in specs else []
         return Groups(

@@ -123,8 +123,8 @@ def normalisation(meta: Mapping[str, Any]) -> str:
     if method == "none":
         return method
     about = meta.get("normalisation_reference") or {}
-    whose = ", ".join(str(about[name]) for name in ("subject", "date") if about.get(name))
-    return f"{METHODS.get(method, method)}{f' (reference of {whose})' if whose else ''}"
+    owner = ", ".join(str(about[name]) for name in ("subject", "date") if about.get(name))
+    return f"{METHODS.get(method, method)}{f' (reference of {owner})' if owner else ''}"
 
 
 def relative_to(meta: Mapping[str, Any]) -> str:

@@ -62,6 +62,8 @@ class Peaks:
         ]
         rows = []
         for name, modes, moved in zip(self.names, self.modes, self.moved, strict=True):
-            told = [f"{p:.0f} ± {sp:.0f} %: {h:.3g} ± {sh:.2g} ({w:.0%})" for p, h, sp, sh, _, w in modes]
-            rows.append([name, "; ".join(told) or "not known", *(f"{v:.3f}" if np.isfinite(v) else "–" for v in moved)])
+            lines = [f"{p:.0f} ± {sp:.0f} %: {h:.3g} ± {sh:.2g} ({w:.0%})" for p, h, sp, sh, _, w in modes]
+            rows.append(
+                [name, "; ".join(lines) or "not known", *(f"{v:.3f}" if np.isfinite(v) else "–" for v in moved)]
+            )
         return Grid("Activation peaks", NOTE, columns, rows)

@@ -28,7 +28,7 @@ class Remarks:
     seen: int
 
     @staticmethod
-    def none() -> Remarks:
+    def empty() -> Remarks:
         return Remarks(np.zeros(LISTED, REMARK), 0, np.zeros(RECENT, CYCLE), 0)
 
     def add(self, onset: int, text: str) -> None:

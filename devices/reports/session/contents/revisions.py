@@ -32,7 +32,7 @@ class Revisable:
     seen: int
 
     @staticmethod
-    def none(gait: int, curve: tuple[int, ...], fields: int) -> Revisable:
+    def empty(gait: int, curve: tuple[int, ...], fields: int) -> Revisable:
         n = REVISABLE
         return Revisable(
             np.full(n, -1), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64),
