@@ -22,7 +22,6 @@ from kinegraph.operators.segmentation import Segment
 from kinegraph.operators.segmentation.kernels.clusters import fit, keep, recognise
 from kinegraph.operators.segmentation.kernels.distances import insert
 from kinegraph.operators.segmentation.kernels.exemplars import candidates
-from kinegraph.operators.segmentation.kernels.layout import RADIUS
 from kinegraph.stream.chunk import Array, Chunk, StreamSpec
 from kinegraph.stream.operator import Operator, grid
 
@@ -110,7 +109,7 @@ def recognition(count: int, seed: int) -> tuple[float, int, float]:
     operator = Segment()
     operator.open({"in": StreamSpec((5 * CHANNELS,), rate_hz=RATE)})
     memory = operator.state.memory.with_room(8)
-    memory.values[RADIUS] = 0.475 * np.sqrt(8.0)
+    memory.radius = 0.475 * np.sqrt(8.0)
     last = np.empty((0, 5 * CHANNELS))
     for kind in range(count):
         last = cycle(seed, kind)

@@ -11,8 +11,8 @@ import numpy as np
 from kinegraph.operators.features.mirror import STACKED
 from kinegraph.operators.inputs.channels import names_of
 from kinegraph.operators.inputs.continuity import watch
-from kinegraph.operators.segmentation.kernels.activities import ROOM, end, follow
-from kinegraph.operators.segmentation.kernels.layout import EVENTS, NOW, allocate
+from kinegraph.operators.segmentation.kernels.activities import ROOM, follow
+from kinegraph.operators.segmentation.kernels.layout import allocate
 from kinegraph.operators.segmentation.outputs import OUTPUTS, emitted, specs_of
 from kinegraph.operators.segmentation.state import SegmentState
 from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, Samples, Specs, StreamSpec, Times
@@ -134,17 +134,17 @@ class Segment(Operator[SegmentState]):
         if len(self.band_s) != 2 or not self.band_s[0] <= self.band_s[1] < self.cycle_s / 2:
             raise ParameterError("band_s", list(self.band_s), "two numbers, not falling, below half of cycle_s")
         seconds = {
-            "LAG": ("cycle_s", REACH * self.cycle_s), "WINDOW": ("window_s", self.window_s), "LEARN": ("learn_s", self.learn_s),
-            "QUIET": ("quiet_s", self.quiet_s), "MASS": ("mass_s", self.mass_s), "SETTLE": ("settle_s", self.settle_s),
-            "FIRM": ("firm_s", self.firm_s), "BAND_LEAST": ("band_s", self.band_s[0]), "BAND_MOST": ("band_s", self.band_s[1]),
-            "REST": ("rest_s", self.rest_s),
+            "max_lag": ("cycle_s", REACH * self.cycle_s), "window": ("window_s", self.window_s), "learn": ("learn_s", self.learn_s),
+            "quiet": ("quiet_s", self.quiet_s), "mass": ("mass_s", self.mass_s), "settle": ("settle_s", self.settle_s),
+            "firm": ("firm_s", self.firm_s), "min_band": ("band_s", self.band_s[0]), "max_band": ("band_s", self.band_s[1]),
+            "rest": ("rest_s", self.rest_s),
         }  # fmt: skip
         frames = {name: samples_in(parameter, value, rate_hz) for name, (parameter, value) in seconds.items()}
-        frames["LEARN"] = max(2, frames["LEARN"])
-        frames["FIRM"] = max(frames["FIRM"], 2 * frames["LAG"])
-        frames["TRANSITION"] = min(round(self.transition_s * rate_hz), frames["LAG"])
-        frames["EVERY"] = max(1, round(0.5 * rate_hz))
-        frames["PERIOD"] = spec.period_ns
+        frames["learn"] = max(2, frames["learn"])
+        frames["firm"] = max(frames["firm"], 2 * frames["max_lag"])
+        frames["transition"] = min(round(self.transition_s * rate_hz), frames["max_lag"])
+        frames["every"] = max(1, round(0.5 * rate_hz))
+        frames["period_ns"] = spec.period_ns
         return frames
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
@@ -167,18 +167,17 @@ class Segment(Operator[SegmentState]):
         while done < len(x):
             memory = s.memory.with_room(4 * ROOM)
             done = follow(memory, x, images, chunk.time, done, gap and not done)
-            tables.append(s.memory.told(memory))
+            tables.append(memory.reported())
         s.say_missing(1)
         return self._emitted(tables, min(chunk.until, s.last.item(0) - 1), -1 if chunk.lost else 0)
 
     def close(self) -> list[tuple[str, Chunk]]:
         s = self.state
         s.say_missing(0)
-        s.memory.books[EVENTS] = 0
-        s.memory.books[NOW] = s.last[0]
+        s.memory.now = s.last.item(0)
         memory = s.memory.with_room(ROOM)
-        end(memory)
-        made = self._emitted([s.memory.told(memory)], FOREVER, 0)
+        follow(memory, np.empty((0, s.width)), np.empty((0, s.width)), np.empty(0, np.int64), 0, True)
+        made = self._emitted([memory.reported()], FOREVER, 0)
         s.say_short()
         return made
 
@@ -212,13 +211,13 @@ class Segment(Operator[SegmentState]):
 def decisions(frames: dict[str, int], period: int) -> dict[str, float]:
     """How long after what an event describes it comes at the latest, by output; rests and gaps that lie between come on top.
 
-    An activity opens at most 3 LAG after the first frame that is found to belong to it, and is decided FIRM later. A rest is reported with
-    the next frame, but the one before the first motion only when that is known.
+    An activity opens at most 3 `max_lag` after the first frame that is found to belong to it, and is decided `firm` later. A rest is
+    reported with the next frame, but the one before the first motion only when that is known.
     """
-    longest = (frames["FIRM"] + 3 * frames["LAG"]) * period / 1e9
+    longest = (frames["firm"] + 3 * frames["max_lag"]) * period / 1e9
     late = dict.fromkeys(("activity", "primitive", "bout", "begin", "provisional"), longest)
-    first = frames["REST"] + frames["MASS"] + 2 * frames["EVERY"]
-    return late | {"resting": (frames["REST"] + 1) * period / 1e9, "rest": first * period / 1e9}
+    first = frames["rest"] + frames["mass"] + 2 * frames["every"]
+    return late | {"resting": (frames["rest"] + 1) * period / 1e9, "rest": first * period / 1e9}
 
 
 def _firsts(spec: StreamSpec, mirrored: StreamSpec) -> Times:

@@ -9,7 +9,7 @@ import structlog
 
 from kinegraph.operators.features.mirror import STACKED
 from kinegraph.operators.inputs.continuity import Continuity
-from kinegraph.operators.segmentation.kernels.layout import FIRM, LEARN, NEXT, NOW, PRESENT, RECENT, WINDOW, Remembered
+from kinegraph.operators.segmentation.kernels.layout import Remembered
 from kinegraph.stream.chunk import NS, Array, Samples
 
 log = structlog.get_logger(__name__)
@@ -42,10 +42,10 @@ class SegmentState(Continuity):
 
     def say_missing(self, learnt: int) -> None:
         """Which features are left out, as nothing has come of them for a window, or since the start: said once each."""
-        books = self.memory.books
-        if books[PRESENT] == self.width or max(books[NEXT], books[RECENT]) < learnt * books[LEARN]:
+        memory = self.memory
+        if memory.present == self.width or max(memory.next_frame, memory.recent_count) < learnt * memory.learn:
             return
-        missing = books[NEXT] - self.memory.known > books[WINDOW]
+        missing = memory.next_frame - self.memory.known > memory.window
         fresh = missing & ~self.absent
         self.absent[:] = missing
         if fresh.any():
@@ -53,7 +53,7 @@ class SegmentState(Continuity):
             left = "features are left out of the comparison" if not missing.all() else "nothing can be compared"
             log.warning(
                 f"{left}: no value has come for as long as the window, or since the start",
-                features=", ".join(names), left=int(self.width - missing.sum()), of=self.width, t_ns=int(books[NOW]),
+                features=", ".join(names), left=int(self.width - missing.sum()), of=self.width, t_ns=int(memory.now),
             )  # fmt: skip
 
     def judge(self, activities: Array) -> None:
@@ -70,16 +70,16 @@ class SegmentState(Continuity):
             log.warning(
                 "most of what is counted may be chance: repetitions lie as far apart as in motion of random phases;"
                 " docs/method/segmentation.md says which sensors tell repetitions",
-                doubtful=self.doubtful, of=self.judged, t_ns=int(self.memory.books[NOW]),
+                doubtful=self.doubtful, of=self.judged, t_ns=int(self.memory.now),
             )  # fmt: skip
 
     def say_short(self) -> None:
-        """If the whole stream held less motion than FIRM, few repetitions that are certain, and was cut or counted all the same."""
-        books = self.memory.books
-        if books[NEXT] < books[FIRM] and self.sure < FEW and (self.cut > 1 or self.judged):
+        """If the whole stream held less motion than `firm`, few repetitions that are certain, and was cut or counted all the same."""
+        memory = self.memory
+        if memory.next_frame < memory.firm and self.sure < FEW and (self.cut > 1 or self.judged):
             log.warning(
                 "too little motion to tell what repeats: what was cut and counted is not to be relied on;"
                 " docs/method/segmentation.md says which sensors tell repetitions",
-                motion_s=round(int(books[NEXT]) * self.period_ns / NS, 1), least_s=round(int(books[FIRM]) * self.period_ns / NS, 1),
+                motion_s=round(int(memory.next_frame) * self.period_ns / NS, 1), least_s=round(int(memory.firm) * self.period_ns / NS, 1),
                 t_ns=int(self.last[0]),
             )  # fmt: skip

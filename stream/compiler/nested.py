@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, cast
 
-from numba.core import compiler, dispatcher
+from numba.core import compiler, dispatcher, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
 
 _FunctionCompiler: Any = dispatcher._FunctionCompiler  # type: ignore[attr-defined]
 _numba: Any = compiler
+_unliteral: Any = types.unliteral
 
 
 class _Library(JITCodeLibrary):
@@ -72,7 +73,10 @@ class KernelDispatcher(CPUDispatcher):
     def get_call_template(self, args: Any, kws: Any) -> Any:
         if self._callee is None:
             self._callee = _Callee(self.py_func, self.targetoptions)
-        return self._callee.get_call_template(args, kws)
+        plain = [
+            _unliteral(arg) for arg in args
+        ]  # numba would make another one for every number that stands in a call
+        return self._callee.get_call_template(plain, {name: _unliteral(arg) for name, arg in kws.items()})
 
     def get_overload(self, args: Any) -> Any:
         return self._callee.get_overload(args)

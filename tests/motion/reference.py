@@ -132,7 +132,7 @@ class Reference:
         self.stood = False
         self.measured: dict[tuple[int, int, int], float] = {}
         self.p, self.share, self.fixed = frames, share, radius
-        self.radius, self.band, self.early = radius or 0.0, frames["BAND_MOST"], 0.0
+        self.radius, self.band, self.early = radius or 0.0, frames["max_band"], 0.0
         self.events: list[Event] = []
         self.now = self.back = 0
         self.exemplars: list[Exemplar | None] = [None] * MOST_CLUSTERS
@@ -160,7 +160,7 @@ class Reference:
             if self.rests(i):
                 self.leave_out(len(self.resting))
             elif self.unseen(i):
-                self.leave_out(self.blind - self.p["REST"])
+                self.leave_out(self.blind - self.p["rest"])
             else:
                 self.now = len(self.frames)
                 self.take(i)
@@ -171,20 +171,20 @@ class Reference:
 
     def leave_out(self, count: int) -> None:
         """A frame is left out, as so many in a row."""
-        if count == self.p["TRANSITION"] + 1 and not self.open:
+        if count == self.p["transition"] + 1 and not self.open:
             self.let_go()
-        if count == self.p["LAG"] and self.frames:
+        if count == self.p["max_lag"] and self.frames:
             self.close_all(0)
 
     def unseen(self, i: int) -> bool:
         """Whether frame `i` is left out, as nothing has been known for long, or ever."""
         if self.known[i].any():
-            if self.blind > self.p["REST"] + self.p["TRANSITION"]:
+            if self.blind > self.p["rest"] + self.p["transition"]:
                 self.resumed = len(self.frames)
             self.blind = 0
             return False
         self.blind += 1
-        return not self.frames or self.blind > self.p["REST"]
+        return not self.frames or self.blind > self.p["rest"]
 
     def tell(self, kind: str, *what: int) -> None:
         """An event; frames that were worked through are told by what number they came with."""
@@ -196,12 +196,12 @@ class Reference:
 
     def rests(self, i: int) -> bool:
         """Whether frame `i`, as it came, is left out: it has moved less than a share of what the liveliest frames do."""
-        n = self.p["REST"]
+        n = self.p["rest"]
         self.moved = self.movement(i)
         if i < n or self.moved >= STILL * self.peak:
             if self.resting:
                 self.tell("rest", self.rest_from, self.resting[-1])
-                if len(self.resting) > self.p["TRANSITION"]:
+                if len(self.resting) > self.p["transition"]:
                     self.resumed = len(self.frames)
                 self.resting = []
             return False
@@ -223,12 +223,12 @@ class Reference:
         are known."""
         if not i:
             return 0.0
-        near = self.came[max(0, i - self.p["REST"]) : i + 1]
+        near = self.came[max(0, i - self.p["rest"]) : i + 1]
         far, steps = self.distances(near[:-1] - near[-1], 0), self.distances(np.diff(near, axis=0), 0)
         far, steps = far[np.isfinite(far)], steps[np.isfinite(steps)]
         if not len(far) or 2 * len(far) < len(near) - 1:
             return self.moved
-        noise = NOISE * float((steps**2).mean()) if len(steps) and 2 * (len(near) - 1) >= self.p["REST"] else 0.0
+        noise = NOISE * float((steps**2).mean()) if len(steps) and 2 * (len(near) - 1) >= self.p["rest"] else 0.0
         return math.sqrt(max(STILL**2 * noise, float(far.mean()) ** 2 - noise))
 
     def at_rest(self, i: int) -> bool:
@@ -237,11 +237,11 @@ class Reference:
     def choose_peak(self, t: int) -> None:
         """What frames worth MASS, of the window, move at least."""
         if t >= self.peak_at:
-            self.peak_at = t + self.p["EVERY"]
-            found = sorted(self.moves[max(0, t - self.p["WINDOW"] + 1) : t + 1])
-            self.peak = found[-self.p["MASS"]] if len(found) >= self.p["MASS"] else 0.0
-            if not self.stood and len(found) >= self.p["MASS"]:
-                self.tell_first_rest(max(0, t - self.p["WINDOW"] + 1), t)
+            self.peak_at = t + self.p["every"]
+            found = sorted(self.moves[max(0, t - self.p["window"] + 1) : t + 1])
+            self.peak = found[-self.p["mass"]] if len(found) >= self.p["mass"] else 0.0
+            if not self.stood and len(found) >= self.p["mass"]:
+                self.tell_first_rest(max(0, t - self.p["window"] + 1), t)
 
     def tell_first_rest(self, first: int, t: int) -> None:
         """Stillness before the first motion, which has gone on for MASS, but not for long."""
@@ -249,9 +249,9 @@ class Reference:
         lively = len(still) if True not in still else still[::-1].index(True)
         before = still[: len(still) - lively]
         rest = len(before) if False not in before else before[::-1].index(False)
-        settled = self.p["REST"] + self.p["MASS"] + self.p["EVERY"]
-        least = self.p["MASS"] if rest == len(before) else settled
-        if rest > self.p["REST"] and least <= lively <= settled + self.p["EVERY"]:
+        settled = self.p["rest"] + self.p["mass"] + self.p["every"]
+        least = self.p["mass"] if rest == len(before) else settled
+        if rest > self.p["rest"] and least <= lively <= settled + self.p["every"]:
             self.stood = True
             self.rested.update(range(t + 1 - lively - rest, t + 1 - lively))
             self.tell("rest", self.frames[t + 1 - lively - rest], self.frames[t - lively])
@@ -261,7 +261,7 @@ class Reference:
         t = self.now
         self.frames.append(i)
         self.moves.append(self.moved)
-        lately = self.known[self.frames[max(0, t - self.p["WINDOW"] + 1) :]]
+        lately = self.known[self.frames[max(0, t - self.p["window"] + 1) :]]
         self.present[t], known = lately.any(0).sum(), self.known[i].sum()
         self.good[t] = known > 0 and known * KNOWN >= self.present[t]
         self.x[t] = self.came[i] if self.good[t] else self.x[t - 1] if t else 0.0
@@ -293,43 +293,43 @@ class Reference:
     # Activities
 
     def has_neighbour(self, i: int) -> bool:
-        lags = range(self.band, min(self.p["LAG"], i - self.seed) + 1)
+        lags = range(self.band, min(self.p["max_lag"], i - self.seed) + 1)
         return bool(self.good[i]) and not self.at_rest(i) and any(self.apart(i, i - k) <= self.radius for k in lags)
 
     def step(self, t: int) -> None:
         p = self.p
         self.choose_peak(t)
         if not self.open:
-            if t + 1 < p["LEARN"]:
+            if t + 1 < p["learn"]:
                 self.anticipate(t)
                 return
-            if self.believed and t + 1 >= p["LEARN"] + p["MASS"]:
+            if self.believed and t + 1 >= p["learn"] + p["mass"]:
                 self.give_up()
-            if self.held and t - self.held.last > p["LAG"] + p["TRANSITION"]:
+            if self.held and t - self.held.last > p["max_lag"] + p["transition"]:
                 self.let_go()
             if t >= self.when:
                 self.choose_radius(t)
-                self.when = t + p["EVERY"]
-                for i in range(max(self.seed, t - p["LAG"] + 1), t):
+                self.when = t + p["every"]
+                for i in range(max(self.seed, t - p["max_lag"] + 1), t):
                     self.flags[i] = self.has_neighbour(i)
             self.flags[t] = self.has_neighbour(t)
-            recent = slice(max(self.seed, t - p["LAG"] + 1), t + 1)
-            if self.flags[t] and self.flags[recent].sum() >= p["MASS"]:
+            recent = slice(max(self.seed, t - p["max_lag"] + 1), t + 1)
+            if self.flags[t] and self.flags[recent].sum() >= p["mass"]:
                 self.open_up(t)
         elif self.has_neighbour(t):
             self.last = t
         if self.open:
-            due = t - self.last >= p["QUIET"] or t >= self.opened + p["SETTLE"]
-            if due and (not self.begun or not (self.told or self.returned or (t - self.opened) % p["SETTLE"])):
+            due = t - self.last >= p["quiet"] or t >= self.opened + p["settle"]
+            if due and (not self.begun or not (self.told or self.returned or (t - self.opened) % p["settle"])):
                 self.begin()
             if self.begun:
                 while self.done < t:
                     self.done += 1
                     self.explore(self.done)
-                if not self.told and t >= self.opened + p["FIRM"]:
+                if not self.told and t >= self.opened + p["firm"]:
                     if self.counts():
                         self.tell_start()
-                    elif t >= self.start + 2 * p["LAG"]:
+                    elif t >= self.start + 2 * p["max_lag"]:
                         self.open, self.when = False, 0
                         self.give_up()
                         return
@@ -342,7 +342,7 @@ class Reference:
                 if not self.foresee(self.grown(), t, grown=True):
                     self.foresee(self.noticed, t)
                 self.watch_returns(t)
-            if t - self.last >= p["QUIET"] and not self.under_way(t):
+            if t - self.last >= p["quiet"] and not self.under_way(t):
                 self.finish(False)
         else:
             self.watch_returns(t)
@@ -351,7 +351,7 @@ class Reference:
         """Before there is enough for a decision: what repeats is believed, by what is typical so far."""
         kept = self.radius, self.band, self.last
         if self.fixed is None:
-            if t % self.p["EVERY"] == 0:
+            if t % self.p["every"] == 0:
                 self.early = self.typical(t)
             self.radius = self.early
         self.choose_band(t)
@@ -365,7 +365,7 @@ class Reference:
         self.choose_band(t)
 
     def typical(self, t: int) -> float:
-        moving = [i for i in range(max(0, t - self.p["WINDOW"] + 1), t + 1) if not self.at_rest(i)]
+        moving = [i for i in range(max(0, t - self.p["window"] + 1), t + 1) if not self.at_rest(i)]
         chosen = moving[:: max(1, len(moving) // SAMPLED)]
         apart = [d for i in chosen for j in chosen if j < i and (d := self.apart(i, j, self.present[t])) < np.inf]
         return self.share * float(np.median(apart)) if apart else 0.0
@@ -373,19 +373,19 @@ class Reference:
     def choose_band(self, t: int) -> None:
         p = self.p
         stays = []
-        for i in range(max(0, t - p["LAG"]), t):
+        for i in range(max(0, t - p["max_lag"]), t):
             if self.at_rest(i):
                 continue
             k = 1
-            while k < p["BAND_MOST"] and k <= i and self.apart(i, i - k) <= self.radius:
+            while k < p["max_band"] and k <= i and self.apart(i, i - k) <= self.radius:
                 k += 1
             stays.append(k)
         typical = sorted(stays)[(len(stays) - 1) // 2] if stays else 0
-        self.band = min(p["BAND_MOST"], max(p["BAND_LEAST"], typical + typical // 2))
+        self.band = min(p["max_band"], max(p["min_band"], typical + typical // 2))
 
     def open_up(self, t: int) -> None:
         self.open, self.opened, self.begun, self.told, self.paths = True, t, False, False, None
-        first = max(self.seed, t - self.p["LAG"] + 1)
+        first = max(self.seed, t - self.p["max_lag"] + 1)
         marked = [i for i in range(first, t + 1) if self.flags[i]]
         self.last, first = marked[-1], marked[0]
         k = next(k for k in range(self.band, first + 1) if self.apart(first, first - k) <= self.radius)
@@ -396,11 +396,11 @@ class Reference:
     def grown(self) -> int:
         """Grow backward from the last frame with a neighbour."""
         p, first, found = self.p, self.last, 0
-        for i in range(self.last, max(self.seed, self.opened - 2 * p["LAG"]) - 1, -1):
-            lags = range(self.band, min(p["LAG"], self.last - i) + 1)
+        for i in range(self.last, max(self.seed, self.opened - 2 * p["max_lag"]) - 1, -1):
+            lags = range(self.band, min(p["max_lag"], self.last - i) + 1)
             if self.good[i] and not self.at_rest(i) and any(self.apart(i + k, i) <= self.radius for k in lags):
                 first, found = i, found + 1
-            elif first - i >= p["QUIET"] and found >= p["MASS"]:
+            elif first - i >= p["quiet"] and found >= p["mass"]:
                 break
         return first
 
@@ -464,7 +464,7 @@ class Reference:
 
     def watch_returns(self, t: int) -> None:
         """Excursions up to frame `t`, of which nothing has been said."""
-        if self.ahead or (t % max(1, self.p["QUIET"] // 3) and self.back_to >= 0):
+        if self.ahead or (t % max(1, self.p["quiet"] // 3) and self.back_to >= 0):
             return
         q, first, last = self.paths, self.untold, t
         if self.open and self.told:
@@ -473,9 +473,9 @@ class Reference:
                 last = q.best[1] - 1
             elif q and t - first < len(q.frames):
                 last = first - 1
-        first = max(first, t - 2 * self.p["LAG"])
+        first = max(first, t - 2 * self.p["max_lag"])
         self.back_to = max(self.back_to, first - 1, 0)
-        if last - first < self.p["MASS"]:
+        if last - first < self.p["mass"]:
             return
         for onset, end in self.excursions(first, last, self.radius):
             if (onset + end) // 2 <= self.back_to:
@@ -645,18 +645,18 @@ class Reference:
         """Whether an activity from `first` on follows the held one within a transition, and with no long rest between."""
         if self.held is None or self.held.last < self.resumed <= first:
             return False
-        return first - self.held.last - 2 <= self.p["TRANSITION"]
+        return first - self.held.last - 2 <= self.p["transition"]
 
     def number_of(self, first: int) -> int:
         return self.activity + (first > self.untold and not self.meets(first))
 
     def border(self, held: Held, first: int) -> int:
         """From where on frames lie nearer to what comes from `first` on than to the held activity."""
-        p, mass = self.p, self.p["MASS"]
+        p, mass = self.p, self.p["mass"]
         start = min(first, max(self.pieces, held.first + mass, held.last + 1 - mass - mass // 2))
         best, total, cut = 0.0, 0.0, start
         for i in range(start, first):
-            lags = range(self.band, p["LAG"] + 1)
+            lags = range(self.band, p["max_lag"] + 1)
             before = min((self.apart(i, i - k) for k in lags if held.first <= i - k < start), default=np.inf)
             after = min((self.apart(i + k, i) for k in lags if first <= i + k <= self.now), default=np.inf)
             if before < np.inf and after < np.inf:
@@ -667,12 +667,12 @@ class Reference:
 
     def gaps(self, first: int, stop: int, radius: float) -> list[int]:
         """Where a radius that is smaller, by a fifth at the most, divides frames first..stop-1, and again what it divides them into."""
-        first = max(first, stop - 3 * self.p["LAG"], self.now + 1 - 3 * self.p["LAG"] - self.p["FIRM"])
+        first = max(first, stop - 3 * self.p["max_lag"], self.now + 1 - 3 * self.p["max_lag"] - self.p["firm"])
         if first >= stop:
             return []
         far = np.full((stop - first, stop - first), np.inf)
         for i in range(first, stop):
-            for j in range(i + self.band, min(stop - 1, i + self.p["LAG"]) + 1):
+            for j in range(i + self.band, min(stop - 1, i + self.p["max_lag"]) + 1):
                 if self.good[i] and self.good[j]:
                     far[i - first, j - first] = far[j - first, i - first] = self.apart(j, i)
         cuts: list[int] = []
@@ -680,7 +680,7 @@ class Reference:
         return [first + cut for cut in cuts]
 
     def part(self, far: Any, first: int, stop: int, radius: float, cuts: list[int]) -> None:
-        mass = self.p["MASS"]
+        mass = self.p["mass"]
         across = {c: float(far[first:c, c:stop].min()) for c in range(first + mass, stop - mass + 1)}
         runs: list[list[int]] = []
         for c in across:
@@ -730,7 +730,7 @@ class Reference:
             self.tell_span(onset, end, self.activity, self.cycles + self.ventured + k + 1)
         self.conclude(self.cycles + self.ventured + len(behind))
         self.forget_returns()
-        self.set_state(last, int(forced))
+        self.hold(last, int(forced))
         self.open, self.when = False, 0
         self.seed = self.untold = last + 1
 
@@ -783,10 +783,10 @@ class Reference:
         found = self.use(slot)
         if self.told and self.cycles and found.number != self.cluster:
             self.close_bout()
-            if origin - self.pieces > self.p["FIRM"]:
+            if origin - self.pieces > self.p["firm"]:
                 self.piece(origin - 1, False)
             self.conclude(self.cycles + self.ventured)
-            self.set_state(self.pieces - 1, 0)
+            self.hold(self.pieces - 1, 0)
             self.seed = self.untold = self.pieces
             self.told = False
             self.start = max(origin, self.seed)
@@ -813,8 +813,8 @@ class Reference:
         """By lag: mean distance of the newest frames, up to `i`, to those before them, back to `origin`."""
         seen = i - origin + 1
         means: dict[int, float] = {}
-        for k in [k for k in range(1, self.p["LAG"] + 1) if seen - k >= SEEN * max(k, self.p["MASS"])]:
-            n = min(max(k, self.p["MASS"]), seen - k)
+        for k in [k for k in range(1, self.p["max_lag"] + 1) if seen - k >= SEEN * max(k, self.p["mass"])]:
+            n = min(max(k, self.p["mass"]), seen - k)
             rows = np.arange(i - n + 1, i + 1)
             self.back = max(self.back, self.now - int(rows[0]) + k)
             far = self.distances(self.x[rows] - self.x[rows - k], self.present[rows])
@@ -843,13 +843,13 @@ class Reference:
     def lead_in(self, start: int, length: int) -> int:
         """The first of the frames before `start` that come back a cycle later, between 2/3 and 3/2 of one; once told: if from a rest."""
         p, first, i = self.p, start, start - 1
-        least = max(self.seed, self.opened - 2 * p["LAG"])
+        least = max(self.seed, self.opened - 2 * p["max_lag"])
         if self.told:
-            least = max(least, self.pieces, start - p["LAG"])
-        while i >= least and first - i <= max(p["QUIET"], length // HOLE):
+            least = max(least, self.pieces, start - p["max_lag"])
+        while i >= least and first - i <= max(p["quiet"], length // HOLE):
             if self.told and i in self.rested:
                 return first
-            lags = range(max(1, 2 * length // 3), min(p["LAG"], 3 * length // 2, self.now - i) + 1)
+            lags = range(max(1, 2 * length // 3), min(p["max_lag"], 3 * length // 2, self.now - i) + 1)
             if self.good[i] and not self.at_rest(i) and any(self.apart(i + k, i) <= self.radius for k in lags):
                 first = i
             i -= 1
@@ -870,7 +870,7 @@ class Reference:
         return start if 4 * head > 3 * length else max(start, start + head - length // HOLE)
 
     def look_back(self, i: int, start: int, floor: int) -> int:
-        first = max(floor, start - self.p["LAG"])
+        first = max(floor, start - self.p["max_lag"])
         if first >= start:
             return start
         exemplar = self.exemplars[self.slot]
@@ -923,7 +923,7 @@ class Reference:
                 self.settle(self.pending[1])
             self.close_bout()
         if i - since > q.slack + 2 * len(q.frames) + q.patience and q.best is None:
-            self.given_up, self.paths, self.origin = q, None, max(self.pieces, i - self.p["LAG"])
+            self.given_up, self.paths, self.origin = q, None, max(self.pieces, i - self.p["max_lag"])
 
     def accept(self) -> None:
         q = self.paths
@@ -967,7 +967,7 @@ class Reference:
         self.prices.append(self.price)
         self.pending, self.cycles, self.pieces = None, self.cycles + 1, last + 1
         if self.cycles > 1:
-            self.repeated = self.now + 1 + self.p["WINDOW"]
+            self.repeated = self.now + 1 + self.p["window"]
         self.bout.append((first, last))
         self.tell_span(first, last, self.activity, self.cycles + self.ventured)
         kind, half = self.symmetry(first, last + 1)
@@ -1012,11 +1012,11 @@ class Reference:
     def excursions(self, first: int, last: int, radius: float) -> list[tuple[int, int]]:
         """Those with the larger part and the farthest frame in first..last, and like another one, cut to these frames."""
         p, present = self.p, int(self.present[self.now])
-        start = max(0, first - p["LAG"], self.now + 1 - 3 * p["LAG"] - p["FIRM"])
-        stop = min(self.now + 1, last + 1 + p["LAG"])
+        start = max(0, first - p["max_lag"], self.now + 1 - 3 * p["max_lag"] - p["firm"])
+        stop = min(self.now + 1, last + 1 + p["max_lag"])
         stays = {
-            i: sum(self.apart(i, i - k) for k in range(1, p["QUIET"] + 1)) / p["QUIET"]
-            for i in range(max(first, start + p["QUIET"]), last + 1)
+            i: sum(self.apart(i, i - k) for k in range(1, p["quiet"] + 1)) / p["quiet"]
+            for i in range(max(first, start + p["quiet"]), last + 1)
         }
         pose = min(stays, key=lambda i: stays[i], default=-1)
         if pose < 0 or stays[pose] >= STANDS * radius:
@@ -1087,7 +1087,7 @@ class Reference:
         while True:
             kept = {slot: exemplar for slot, exemplar in enumerate(self.exemplars) if exemplar}
             frames_kept = sum(len(exemplar.frames) for exemplar in kept.values())
-            if len(kept) < MOST_CLUSTERS and frames_kept + length <= LONGEST_EXEMPLARS * self.p["LAG"]:
+            if len(kept) < MOST_CLUSTERS and frames_kept + length <= LONGEST_EXEMPLARS * self.p["max_lag"]:
                 break
             self.exemplars[min(kept, key=lambda k: kept[k].used)] = None
         slot = self.exemplars.index(None)

@@ -12,13 +12,8 @@ from kinegraph.operators.segmentation.kernels.clusters import fit, keep, recogni
 from kinegraph.operators.segmentation.kernels.distances import insert
 from kinegraph.operators.segmentation.kernels.exemplars import candidates, copied
 from kinegraph.operators.segmentation.kernels.layout import (
-    LAG,
     LONGEST_EXEMPLARS,
     MOST_CLUSTERS,
-    NUMBER,
-    RADIUS,
-    SIZE,
-    USED,
     Memory,
     allocate,
 )
@@ -40,14 +35,14 @@ def seen(made: Memory, x: Any) -> int:
 
 
 def living(s: Memory) -> list[int]:
-    return [k for k in range(MOST_CLUSTERS) if s.clusters[k, NUMBER] >= 0]
+    return [k for k in range(MOST_CLUSTERS) if s.cluster_numbers[k] >= 0]
 
 
 def fitting(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
     """`recognise` in plain words: every exemplar of about this length is warped."""
-    best, found, met = s.values[RADIUS], -1, first
+    best, found, met = s.radius, -1, first
     for slot in living(s):
-        size = s.clusters[slot, SIZE]
+        size = s.exemplar_sizes[slot]
         if size * 3 <= length * 4 and length * 3 <= size * 4:
             mean, start = fit(s, slot, first, last, False)
             if mean < best:
@@ -78,14 +73,14 @@ def test_what_the_index_leaves_out_would_not_have_matched(kind: str, radius: flo
         assert found == fitting(made, first, last, length)
         may = candidates(made, first, last)
         whole = [slot for slot in living(made) if not may[slot]]
-        assert all(fit(made, slot, first, last, False)[0] > made.values[RADIUS] for slot in whole)
+        assert all(fit(made, slot, first, last, False)[0] > made.radius for slot in whole)
         met.append(found[0] >= 0)
         if found[0] < 0:
             keep(made, first, length)
         else:
-            made.clusters[found[0], USED] = made.clusters[:, USED].max() + 1
+            made.exemplar_uses[found[0]] = made.exemplar_uses.max() + 1
         if i == 60:
-            made.clusters[rng.integers(0, MOST_CLUSTERS, 9), NUMBER] = -1
+            made.cluster_numbers[rng.integers(0, MOST_CLUSTERS, 9)] = -1
     assert radius < 1.0 or any(met)
 
 
@@ -109,20 +104,20 @@ def test_as_many_are_kept_as_the_longest_have_frames_and_what_they_hold_does_not
         slot = keep(made, end - len(x), len(x))
         held[slot] = x
         kept = living(made)
-        frames = made.clusters[kept, SIZE].sum()
-        assert frames <= LONGEST_EXEMPLARS * made.books[LAG] < frames + 30 or len(kept) == kind + 1
+        frames = made.exemplar_sizes[kept].sum()
+        assert frames <= LONGEST_EXEMPLARS * made.max_lag < frames + 30 or len(kept) == kind + 1
         for k in kept:
             assert np.array_equal(copied(made, k), held[k].T)
-    newest = made.clusters[made.clusters[:, NUMBER] >= 0, NUMBER]
+    newest = made.cluster_numbers[made.cluster_numbers >= 0]
     assert newest.max() == 399 and newest.min() == 400 - len(newest), "those used longest ago made room"
 
 
 def test_no_more_than_the_most_are_kept() -> None:
-    made = allocate(4, {**FRAMES, "LAG": 80}, 0.1, 0.5).with_room(64)
+    made = allocate(4, {**FRAMES, "max_lag": 80}, 0.1, 0.5).with_room(64)
     for kind in range(MOST_CLUSTERS + 5):
         end = seen(made, exercise(kind, 6))
         keep(made, end - 6, 6)
-    assert sorted(made.clusters[:, NUMBER]) == list(range(5, MOST_CLUSTERS + 5))
+    assert sorted(made.cluster_numbers) == list(range(5, MOST_CLUSTERS + 5))
 
 
 def test_an_exercise_is_known_again_after_thirty_others() -> None:

@@ -20,7 +20,6 @@ from kinegraph.operators.filters.iir import Lowpass
 from kinegraph.operators.filters.resample import Resample
 from kinegraph.operators.segmentation import Segment
 from kinegraph.operators.segmentation.kernels.excursions import excursions
-from kinegraph.operators.segmentation.kernels.layout import NEXT
 from kinegraph.operators.segmentation.operator import REACH
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.data.rows import taking
@@ -85,13 +84,13 @@ def as_frames(x: Any, events: dict[str, Any], stamps: dict[str, Any]) -> dict[st
 
 def frames_of(operator: Segment) -> dict[str, int]:
     seconds = {
-        "LAG": REACH * operator.cycle_s, "WINDOW": operator.window_s, "LEARN": operator.learn_s, "QUIET": operator.quiet_s,
-        "MASS": operator.mass_s, "SETTLE": operator.settle_s, "FIRM": operator.firm_s, "BAND_LEAST": operator.band_s[0],
-        "BAND_MOST": operator.band_s[1], "EVERY": 0.5, "REST": operator.rest_s,
+        "max_lag": REACH * operator.cycle_s, "window": operator.window_s, "learn": operator.learn_s, "quiet": operator.quiet_s,
+        "mass": operator.mass_s, "settle": operator.settle_s, "firm": operator.firm_s, "min_band": operator.band_s[0],
+        "max_band": operator.band_s[1], "every": 0.5, "rest": operator.rest_s,
     }  # fmt: skip
     frames = {name: round(value * RATE) for name, value in seconds.items()}
-    frames["TRANSITION"] = min(round(operator.transition_s * RATE), frames["LAG"])
-    return frames | {"FIRM": max(frames["FIRM"], 2 * frames["LAG"])}
+    frames["transition"] = min(round(operator.transition_s * RATE), frames["max_lag"])
+    return frames | {"firm": max(frames["firm"], 2 * frames["max_lag"])}
 
 
 def told(reference: list[Event]) -> dict[str, list[Event]]:
@@ -215,7 +214,7 @@ def test_the_live_events_are_the_references_for_any_length_of_the_recording(seed
         events, stamps = played(operator, x[:n], pieces=seed + 1)
         assert as_frames(x[:n], events, stamps) == expected
         assert np.allclose(events["activity"]["certainty"], reference.certain)
-        assert reference.back < max(frames_of(operator)["WINDOW"], 5 * frames_of(operator)["LAG"])
+        assert reference.back < max(frames_of(operator)["window"], 5 * frames_of(operator)["max_lag"])
     assert any(e[4] > 1 for e in expected["activity"]) or n == 100
 
 
@@ -876,6 +875,6 @@ def test_what_trembles_is_no_gesture(every: int, counts: bool) -> None:
     operator.open({"in": StreamSpec((3,), rate_hz=RATE)})
     operator.process("in", Chunk(grid(RATE, len(x)), x, int(grid(RATE, len(x))[-1])))
     memory = operator.state.memory.with_room(1)
-    last = int(memory.books[NEXT]) - 1
+    last = int(memory.next_frame) - 1
     found = excursions(memory, last - 800, last, 0.3)
     assert (len(found) > 40) if counts else not len(found)

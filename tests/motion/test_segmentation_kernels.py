@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,17 +12,8 @@ from kinegraph.operators.segmentation.kernels.activities import anticipate, open
 from kinegraph.operators.segmentation.kernels.cycles import advance, last_cycle, sum_up
 from kinegraph.operators.segmentation.kernels.distances import insert, mark
 from kinegraph.operators.segmentation.kernels.layout import (
-    BELIEVED,
     BELIEVED_EVENT,
-    BELIEVED_OF,
     COUNT_EVENT,
-    EARLY_RADIUS,
-    EVENTS,
-    FORESEEN,
-    GROWN,
-    LAST,
-    OPENED,
-    ORIGIN,
     RADIUS_EVENT,
     Memory,
     allocate,
@@ -31,8 +23,8 @@ from kinegraph.operators.segmentation.kernels.separation import gaps
 from kinegraph.operators.segmentation.kernels.symmetry import AT_ONCE, IN_TURN, moves, symmetry
 
 FRAMES = {
-    "LAG": 30, "WINDOW": 200, "LEARN": 2, "QUIET": 4, "MASS": 6, "SETTLE": 20, "FIRM": 80, "BAND_LEAST": 3, "BAND_MOST": 3,
-    "EVERY": 5, "REST": 5, "TRANSITION": 10,
+    "max_lag": 30, "window": 200, "learn": 2, "quiet": 4, "mass": 6, "settle": 20, "firm": 80, "min_band": 3, "max_band": 3,
+    "every": 5, "rest": 5, "transition": 10,
 }  # fmt: skip
 
 
@@ -61,7 +53,7 @@ def test_a_path_of_even_distances_lies_as_far_away_as_they_do() -> None:
 def test_sums_give_the_mean_distance_of_the_newest_cycle_to_the_one_before_it() -> None:
     x = np.random.default_rng(1).normal(size=(40, 3))
     s = memory(x)
-    s.books[ORIGIN] = 2
+    s.origin = 2
     s.sums[1] = 0.0
     for i in range(2, 40):
         sum_up(s, i)
@@ -85,9 +77,9 @@ def test_two_cycles_are_believed_as_soon_as_the_second_is_seen_to_end() -> None:
     s, said = memory(x[:1]), {}
     for t in range(1, 60):
         insert(s, x[t], t)
-        s.books[EVENTS] = 0
+        s.event_count = 0
         foresee(s, 0, t, True)
-        for row in s.events[: s.books[EVENTS]]:
+        for row in s.events[: s.event_count]:
             said[int(row[0]), int(row[3 if row[0] == COUNT_EVENT else 5])] = t
     believed = [said[BELIEVED_EVENT, k] for k in range(1, 6)]
     assert believed == [said[COUNT_EVENT, k] for k in range(1, 6)]
@@ -98,10 +90,10 @@ def test_an_activity_that_opens_is_believed_from_what_its_first_frame_comes_back
     x = circle(25, 12, size=2.0)
     s = memory(x, radius=0.1)
     assert [mark(s, i, 0) for i in range(25)] == [False] * 12 + [True] * 13
-    s.books[EVENTS] = 0
+    s.event_count = 0
     open_up(s, 24)
-    assert s.books[OPENED] == s.books[LAST] == 24
-    radius, believed = s.events[: s.books[EVENTS]].tolist()
+    assert s.opened == s.last == 24
+    radius, believed = s.events[: s.event_count].tolist()
     assert radius[0] == RADIUS_EVENT and believed[0] == BELIEVED_EVENT
     assert believed[2:] == [0, 24, 0, 0, 0, 0], "onset and end, the first activity, no repetition"
 
@@ -111,16 +103,15 @@ def test_before_enough_was_seen_what_repeats_is_believed_and_nothing_else_rememb
     s, counts = memory(x[:1], radius=None), []
     for t in range(1, 60):
         insert(s, x[t], t)
-        s.books[EVENTS] = 0
-        books, values, near = s.books.copy(), s.values.copy(), s.near.copy()
+        s.event_count = 0
+        numbers, near = s.numbers.copy(), s.near.copy()
         anticipate(s, t)
-        counts += [(t, int(row[3])) for row in s.events[: s.books[EVENTS]] if row[0] == COUNT_EVENT]
-        for told in (EVENTS, BELIEVED, BELIEVED_OF, FORESEEN, GROWN):
-            books[told] = s.books[told]
-        values[EARLY_RADIUS] = s.values[EARLY_RADIUS]
-        assert np.array_equal(books, s.books) and np.array_equal(values, s.values) and np.array_equal(near, s.near)
+        counts += [(t, int(row[3])) for row in s.events[: s.event_count] if row[0] == COUNT_EVENT]
+        for name in ("event_count", "believed", "believed_of", "foreseen", "is_grown", "early_radius"):
+            numbers[name] = s.numbers[name]
+        assert numbers == s.numbers and np.array_equal(near, s.near)
     assert [k for _, k in counts] == [1, 2, 3, 4, 5] and counts[1][0] <= 2 * 12 + 4
-    assert s.values[EARLY_RADIUS] > 0.0
+    assert s.early_radius > 0.0
 
 
 def test_whose_half_moves_more_is_the_sum_of_its_squared_steps_less_the_others() -> None:
@@ -130,7 +121,7 @@ def test_whose_half_moves_more_is_the_sum_of_its_squared_steps_less_the_others()
     ring = len(s.times)
     mirrored = np.zeros((ring, 4))
     mirrored[:40] = x[:, [2, 3, 0, 1]]
-    s = s._replace(mirrored=mirrored, firsts=np.array([1, 1, 0, 0]))
+    s = replace(s, mirrored=mirrored, firsts=np.array([1, 1, 0, 0]))
     steps = np.diff(x, axis=0)[9:29] ** 2
     assert np.isclose(moves(s, 10, 30), steps[:, left].sum() - steps[:, right].sum())
 
@@ -140,7 +131,7 @@ def test_what_is_its_own_mirror_image_has_no_sides_that_take_turns_even_if_its_k
     s = memory(x)
     mirrored = np.zeros((len(s.times), 4))
     mirrored[:40] = x
-    s = s._replace(mirrored=mirrored)
+    s = replace(s, mirrored=mirrored)
     for leads in (0.0, 2.0):
         s.leads[0] = leads
         assert symmetry(s, 0, 5, 35) == (AT_ONCE, -1)

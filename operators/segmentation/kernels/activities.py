@@ -18,61 +18,8 @@ from kinegraph.operators.segmentation.kernels.events import stamp, tell
 from kinegraph.operators.segmentation.kernels.final import how, settle, stretch, tell_start
 from kinegraph.operators.segmentation.kernels.gestures import believe_behind, watch_returns
 from kinegraph.operators.segmentation.kernels.layout import (
-    BAND,
-    BEGUN,
-    BELIEVED,
     BELIEVED_EVENT,
-    BEST_END,
-    BEST_START,
-    BOUT,
-    CLUSTER,
-    COUNT,
-    CYCLES,
-    DONE,
-    EARLY_RADIUS,
-    EVENTS,
-    EVERY,
-    FIRM,
-    FIXED,
-    GROWN,
-    HELD,
-    HELD_LAST,
-    LAG,
-    LAST,
-    LEARN,
-    MASS,
-    MODE,
-    NEXT,
-    NOTICED,
-    NOW,
-    OPEN,
-    OPENED,
-    OUTINGS,
-    PENDING,
-    PRICES,
-    QUIET,
-    RADIUS,
-    RADIUS_AT,
     RADIUS_EVENT,
-    RECENT,
-    REPEATED,
-    REST,
-    RESTED,
-    RETURNED,
-    ROWS,
-    SEARCH,
-    SEED,
-    SETTLE,
-    SINCE,
-    START,
-    STOOD,
-    TO,
-    TOLD,
-    TRACK,
-    TRANSITION,
-    UNSEEN,
-    UNTOLD,
-    UNTOLD_AT,
     Memory,
 )
 from kinegraph.operators.segmentation.kernels.provisional import conclude, foresee, give_up, keep_count, look_ahead
@@ -91,18 +38,21 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
 
     mirrored  (n, features)  their mirror images; NaN: not known. (0, features): there are none
 
-    `gap`: what is open ends before row `first`. Returns the row to go on with; EVENTS rows were written.
+    `gap`: what is open ends before row `first`, or now if there is no such row. Returns the row to continue with; `event_count` rows were
+    written.
     """
-    s.books[EVENTS] = 0
+    s.event_count = 0
+    if gap:
+        if first < x.shape[0]:
+            s.now = time[first]
+        end(s)
     i = first
-    while i < x.shape[0] and s.books[EVENTS] + 2 * ROOM <= s.events.shape[0]:
-        s.books[NOW] = time[i]
-        if gap and i == first:
-            end(s)
+    while i < x.shape[0] and s.event_count + 2 * ROOM <= s.events.shape[0]:
+        s.now = time[i]
         if rests(s, x[i], time[i]):
-            leave_out(s, s.books[RESTED])
+            leave_out(s, s.rested)
         elif unseen(s, x[i]):
-            leave_out(s, s.books[UNSEEN] - s.books[REST])
+            leave_out(s, s.unseen - s.rest)
         else:
             t = insert(s, x[i], time[i])
             if mirrored.shape[0]:
@@ -114,53 +64,53 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
 
 @kernel
 def leave_out(s: Memory, count: int) -> None:
-    """The newest `count` frames were not worked through: after a transition no activity can meet the one before, after LAG all ends."""
-    if count == s.books[TRANSITION] + 1 and not s.books[OPEN]:
+    """The newest `count` frames were left out: after a transition no activity can meet the one before, after `max_lag` all ends."""
+    if count == s.transition + 1 and not s.is_open:
         let_go(s)
-    if count == s.books[LAG]:
+    if count == s.max_lag:
         stand(s)
 
 
 @kernel
 def step(s: Memory, t: int) -> None:
-    b = s.books
     choose_peak(s, t)
-    if t == b[UNTOLD]:
-        b[UNTOLD_AT] = s.times[t % s.times.shape[0]]
-    if not b[OPEN]:
-        if t - b[SINCE] + 1 < b[LEARN]:
+    if t == s.unreported:
+        s.unreported_at = s.times[t % s.times.shape[0]]
+    if not s.is_open:
+        if t - s.since + 1 < s.learn:
             anticipate(s, t)
             return
-        if b[BELIEVED] and t - b[SINCE] + 1 >= b[LEARN] + b[MASS]:
+        if s.believed and t - s.since + 1 >= s.learn + s.mass:
             give_up(s)
-        if b[HELD] and t - b[HELD_LAST] > b[LAG] + b[TRANSITION]:
+        if s.is_held and t - s.held_last > s.max_lag + s.transition:
             let_go(s)
-        if t >= b[RADIUS_AT]:
+        if t >= s.radius_due:
             choose_radius(s, t)
-            b[RADIUS_AT] = t + b[EVERY]
-        elif t - b[LAG] >= b[SEED]:
-            b[ROWS] -= s.near[(t - b[LAG]) % s.near.shape[0]] == 1
-        near = mark(s, t, b[SEED])
-        b[ROWS] += near
-        if near and b[ROWS] >= b[MASS]:
+            s.radius_due = t + s.every
+        elif t - s.max_lag >= s.seed:
+            s.near_count -= s.near[(t - s.max_lag) % s.near.shape[0]] == 1
+        near = mark(s, t, s.seed)
+        s.near_count += near
+        if near and s.near_count >= s.mass:
             open_up(s, t)
-    elif mark(s, t, b[SEED]):
-        b[LAST] = t
-    if b[OPEN]:
-        quiet = t - b[LAST] >= b[QUIET]
-        if quiet or t >= b[OPENED] + b[SETTLE]:
-            sought = b[BEGUN] and (b[TOLD] or b[RETURNED] or (t - b[OPENED]) % b[SETTLE])
+    elif mark(s, t, s.seed):
+        s.last = t
+    if s.is_open:
+        quiet = t - s.last >= s.quiet
+        if quiet or t >= s.opened + s.settle:
+            sought = s.is_begun and (s.is_start_final or s.has_returned or (t - s.opened) % s.settle)
             if not sought:
                 begin(s)
-        if b[BEGUN]:
-            while b[DONE] < t:
-                b[DONE] += 1
-                explore(s, b[DONE])
-            if not b[TOLD] and t >= b[OPENED] + b[FIRM]:
+        if s.is_begun:
+            while s.done < t:
+                s.done += 1
+                explore(s, s.done)
+            if not s.is_start_final and t >= s.opened + s.firm:
                 if counts(s):
                     tell_start(s)
-                elif t >= b[START] + 2 * b[LAG]:
-                    b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
+                elif t >= s.start + 2 * s.max_lag:
+                    s.is_open = s.is_begun = False
+                    s.near_count = s.radius_due = 0
                     give_up(s)
                     return
             watch_returns(s, t)
@@ -168,9 +118,9 @@ def step(s: Memory, t: int) -> None:
             look_ahead(s, t)
         else:
             if not foresee(s, grown(s), t, True):
-                foresee(s, b[NOTICED], t, False)
+                foresee(s, s.noticed, t, False)
             watch_returns(s, t)
-        if t - b[LAST] >= b[QUIET] and not under_way(s, t):
+        if t - s.last >= s.quiet and not under_way(s, t):
             finish(s, False)
     else:
         watch_returns(s, t)
@@ -179,34 +129,33 @@ def step(s: Memory, t: int) -> None:
 @kernel
 def anticipate(s: Memory, t: int) -> None:
     """Too little has been seen for a decision: what repeats is believed, by what is typical so far. Nothing of it stays."""
-    b, radius = s.books, s.values[RADIUS]
-    band, last = b[BAND], b[LAST]
-    if not b[FIXED]:
-        if (t - b[SINCE]) % b[EVERY] == 0:
-            s.values[EARLY_RADIUS] = typical(s, t)
-        s.values[RADIUS] = s.values[EARLY_RADIUS]
+    radius = s.radius
+    band, last = s.band, s.last
+    if not s.is_radius_fixed:
+        if (t - s.since) % s.every == 0:
+            s.early_radius = typical(s, t)
+        s.radius = s.early_radius
     choose_band(s, t)
-    b[LAST] = t
+    s.last = t
     foresee(s, grown(s), t, True)
-    s.values[RADIUS], b[BAND], b[LAST] = radius, band, last
+    s.radius, s.band, s.last = radius, band, last
 
 
 @kernel
 def open_up(s: Memory, t: int) -> None:
     """There are enough frames with neighbours: an activity is under way, and keeps the radius."""
-    b = s.books
-    b[OPEN], b[OPENED], b[BEGUN] = 1, t, 0
+    s.is_open, s.opened, s.is_begun = True, t, False
     i = t
     while s.near[i % s.near.shape[0]] != 1:
         i -= 1
-    b[LAST] = i
-    first = max(b[SEED], t - b[LAG] + 1)
+    s.last = i
+    first = max(s.seed, t - s.max_lag + 1)
     while s.near[first % s.near.shape[0]] != 1:
         first += 1
-    row, k = s.rows[first % s.rows.shape[0]], b[BAND]
-    while row[k] > s.values[RADIUS]:
+    row, k = s.rows[first % s.rows.shape[0]], s.band
+    while row[k] > s.radius:
         k += 1
-    b[NOTICED], b[GROWN] = first - k, 0
+    s.noticed, s.is_grown = first - k, False
     tell(s, RADIUS_EVENT, 0, 0, 0, 0, 0, 0)
     tell(s, BELIEVED_EVENT, stamp(s, first - k), stamp(s, t), number_of(s, first - k), 0, 0, 0)
 
@@ -214,36 +163,35 @@ def open_up(s: Memory, t: int) -> None:
 @kernel
 def begin(s: Memory) -> None:
     """The open activity's start is sought; later again, when more has come back."""
-    b = s.books
     first = grown(s)
-    if b[BEGUN] and first >= b[START]:
+    if s.is_begun and first >= s.start:
         return
-    b[BEGUN], b[TOLD], b[RETURNED] = 1, 0, 0
-    b[START] = first
-    b[COUNT] = b[PENDING] = b[CYCLES] = b[OUTINGS] = b[BOUT] = 0
-    s.kinds[:], s.values[PRICES] = 0, 0.0
-    b[CLUSTER] = -1
+    s.is_begun, s.is_start_final, s.has_returned = True, False, False
+    s.start = first
+    s.is_pending = False
+    s.count = s.cycles = s.outings = s.bout = 0
+    s.kinds[:], s.prices = 0, 0.0
+    s.cluster = -1
     search_from(s, first)
-    b[DONE] = first - 1
+    s.done = first - 1
 
 
 @kernel
 def grown(s: Memory) -> int:
     """Grow backward from the newest frame that has a neighbour to the activity's first."""
-    b = s.books
-    first, found = b[LAST], 0
-    i = b[LAST]
+    first, found = s.last, 0
+    i = s.last
     while i >= oldest(s):
         near = False
         if s.near[i % s.near.shape[0]] != 2 and not at_rest(s, i):
-            for k in range(b[BAND], min(b[LAG], b[LAST] - i) + 1):
-                if s.rows[(i + k) % s.rows.shape[0], k] <= s.values[RADIUS]:
+            for k in range(s.band, min(s.max_lag, s.last - i) + 1):
+                if s.rows[(i + k) % s.rows.shape[0], k] <= s.radius:
                     near = True
                     break
         if near:
             first = i
             found += 1
-        elif first - i >= b[QUIET] and found >= b[MASS]:
+        elif first - i >= s.quiet and found >= s.mass:
             break
         i -= 1
     return int(first)
@@ -252,54 +200,54 @@ def grown(s: Memory) -> int:
 @kernel
 def counts(s: Memory) -> bool:
     """Whether the open activity is one: it comes back to itself, or motion has repeated lately. Else it is part of a stretch."""
-    return bool(s.books[RETURNED] or s.books[REPEATED] >= s.books[NEXT])
+    return bool(s.has_returned or s.repeated_until >= s.next_frame)
 
 
 @kernel
 def oldest(s: Memory) -> int:
     """The first frame that the open activity may begin with: what it is decided from must still be there."""
-    b = s.books
-    return int(max(b[SEED], b[OPENED] - 2 * b[LAG]))
+    return int(max(s.seed, s.opened - 2 * s.max_lag))
 
 
 @kernel
 def finish(s: Memory, forced: bool) -> None:
     """The activity ends with its last frame that has a neighbour, or with a repetition that was accepted while it was open."""
-    b = s.books
-    if b[MODE] == SEARCH and not b[TOLD]:
-        length = cycle_length(s, b[DONE], True)
+    if not s.is_tracking and not s.is_start_final:
+        length = cycle_length(s, s.done, True)
         if length:
-            take_up(s, b[DONE], length)
-    if not b[TOLD] and not counts(s):
-        b[OPEN] = b[BEGUN] = b[ROWS] = b[RADIUS_AT] = 0
+            take_up(s, s.done, length)
+    if not s.is_start_final and not counts(s):
+        s.is_open = s.is_begun = False
+        s.near_count = s.radius_due = 0
         give_up(s)
         return
-    if not b[TOLD]:
+    if not s.is_start_final:
         tell_start(s)
-    last = b[LAST]
-    if b[BEST_END] >= 0 and b[MODE] == TRACK and b[BEST_START] <= last:
+    last = s.last
+    if s.best_end >= 0 and s.is_tracking and s.best_start <= last:
         accept(s)
-    if b[PENDING]:
-        settle(s, min(b[TO], last))
+    if s.is_pending:
+        settle(s, min(s.pending_to, last))
     close_bout(s)
-    conclude(s, b[CYCLES] + b[OUTINGS] + believe_behind(s, last))
+    conclude(s, s.cycles + s.outings + believe_behind(s, last))
     forget_returns(s)
     hold(s, last, s.times[last % s.times.shape[0]], how(s) + forced)
-    b[OPEN] = b[BEGUN] = b[ROWS] = 0
-    b[SEED] = b[UNTOLD] = last + 1
-    b[UNTOLD_AT] = s.times[(last + 1) % s.times.shape[0]]
-    b[RADIUS_AT] = 0
+    s.is_open = s.is_begun = False
+    s.near_count = 0
+    s.seed = s.unreported = last + 1
+    s.unreported_at = s.times[(last + 1) % s.times.shape[0]]
+    s.radius_due = 0
 
 
 @kernel
 def end(s: Memory) -> None:
     """The stream ends, or a gap follows: what is open closes by force, and all but the exemplars is forgotten."""
-    b = s.books
     tell_rest(s)
-    b[RECENT] = b[STOOD] = b[UNSEEN] = 0
+    s.has_rested = False
+    s.recent_count = s.unseen = 0
     close_all(s, True)
-    b[SINCE] = b[NEXT]
-    b[REPEATED] = 0
+    s.since = s.next_frame
+    s.repeated_until = 0
 
 
 @kernel
@@ -311,24 +259,23 @@ def stand(s: Memory) -> None:
 @kernel
 def close_all(s: Memory, forced: bool) -> None:
     """What is open closes, with the newest frame that was worked through."""
-    b = s.books
-    newest = b[NEXT] - 1
-    if b[NEXT] == b[SINCE]:
+    newest = s.next_frame - 1
+    if s.next_frame == s.since:
         return
-    if b[OPEN]:
-        if not b[BEGUN]:
+    if s.is_open:
+        if not s.is_begun:
             begin(s)
-        while b[DONE] < newest:
-            b[DONE] += 1
-            explore(s, b[DONE])
+        while s.done < newest:
+            s.done += 1
+            explore(s, s.done)
         finish(s, forced)
-    elif b[BELIEVED]:
+    elif s.believed:
         give_up(s)
     let_go(s)
-    if b[UNTOLD] <= newest:
+    if s.unreported <= newest:
         stretch(s, newest, forced)
-    elif b[BELIEVED]:
+    elif s.believed:
         conclude(s, 0)
     forget_returns(s)
-    b[SEED] = b[UNTOLD] = b[NEXT]
-    b[RADIUS_AT] = b[ROWS] = 0
+    s.seed = s.unreported = s.next_frame
+    s.radius_due = s.near_count = 0

@@ -9,18 +9,6 @@ import numpy as np
 from kinegraph.operators.segmentation.kernels.cycles import begin_tracking, release, slack, track
 from kinegraph.operators.segmentation.kernels.distances import between
 from kinegraph.operators.segmentation.kernels.layout import (
-    BEST_END,
-    BEST_START,
-    LAG,
-    LENGTH,
-    NEXT,
-    OPENED,
-    PIECES_FROM,
-    QUIET,
-    RADIUS,
-    SEED,
-    TOLD,
-    UNTOLD,
     Memory,
 )
 from kinegraph.operators.segmentation.kernels.rest import at_rest, reported_at_rest
@@ -37,23 +25,22 @@ def lead_in(s: Memory, start: int, length: int) -> int:
     When the activity began, what they come back to had not been seen yet. In one that goes on, only a rest says where motion began: `start`
     itself, unless they lead back to one.
     """
-    b = s.books
-    first, hole = start, max(b[QUIET], length // HOLE)
-    shortest, longest = max(1, 2 * length // 3), min(b[LAG], 3 * length // 2)
-    least = max(b[SEED], b[OPENED] - 2 * b[LAG])
-    if b[TOLD]:
-        least = max(least, b[PIECES_FROM], start - b[LAG])
+    first, hole = start, max(s.quiet, length // HOLE)
+    shortest, longest = max(1, 2 * length // 3), min(s.max_lag, 3 * length // 2)
+    least = max(s.seed, s.opened - 2 * s.max_lag)
+    if s.is_start_final:
+        least = max(least, s.pieces_from, start - s.max_lag)
     i = start - 1
     while i >= least and first - i <= hole:
-        if b[TOLD] and reported_at_rest(s, i):
+        if s.is_start_final and reported_at_rest(s, i):
             return int(first)
         if s.near[i % s.near.shape[0]] != 2 and not at_rest(s, i):
-            for k in range(shortest, min(longest, b[NEXT] - 1 - i) + 1):
-                if s.rows[(i + k) % s.rows.shape[0], k] <= s.values[RADIUS]:
+            for k in range(shortest, min(longest, s.next_frame - 1 - i) + 1):
+                if s.rows[(i + k) % s.rows.shape[0], k] <= s.radius:
                     first = i
                     break
         i -= 1
-    return int(start if b[TOLD] else first)
+    return int(start if s.is_start_final else first)
 
 
 @kernel
@@ -87,18 +74,17 @@ def first_whole(start: int, met: int, length: int) -> int:
 @kernel
 def look_back(s: Memory, i: int, start: int) -> int:
     """Where the repetitions up to frame `i` begin, once their cycle is known: those just before `start` belong to them."""
-    b = s.books
-    first = max(b[PIECES_FROM] if b[TOLD] else b[UNTOLD], start - b[LAG])
+    first = max(s.pieces_from if s.is_start_final else s.unreported, start - s.max_lag)
     if first >= start:
         return start
-    starts, ends, count = np.empty(2 * b[LAG], np.int64), np.empty(2 * b[LAG], np.int64), 0
+    starts, ends, count = np.empty(2 * s.max_lag, np.int64), np.empty(2 * s.max_lag, np.int64), 0
     begin_tracking(s, first)
     for j in range(first, i + 1):
         if track(s, j):
-            starts[count], ends[count] = b[BEST_START], b[BEST_END]
+            starts[count], ends[count] = s.best_start, s.best_end
             count += 1
             release(s)
     for k in range(count - 1, -1, -1):
-        if starts[k] < start and ends[k] + slack(b[LENGTH]) >= start:
+        if starts[k] < start and ends[k] + slack(s.length) >= start:
             start = starts[k]
     return start

@@ -7,13 +7,6 @@ import numpy as np
 from kinegraph.operators.segmentation.kernels.cycles import GAIN, advance, columns, travel
 from kinegraph.operators.segmentation.kernels.exemplars import candidates, store, vacate
 from kinegraph.operators.segmentation.kernels.layout import (
-    CLOCK,
-    NEXT_CLUSTER,
-    NUMBER,
-    RADIUS,
-    SIZE,
-    TURN,
-    USED,
     Memory,
 )
 from kinegraph.stream.kernel import kernel
@@ -22,10 +15,10 @@ from kinegraph.stream.kernel import kernel
 @kernel
 def fit(s: Memory, slot: int, first: int, last: int, whole: bool) -> tuple[float, int]:
     """Mean distance of the cheapest warping path of an exemplar in frames first..last, and where it starts; `whole`: all along them."""
-    length = s.clusters[slot, SIZE]
+    length = s.exemplar_sizes[slot]
     cost = np.full((2, length), np.inf)
     begin = np.full((2, length), -1, np.int64)
-    gain = GAIN * s.values[RADIUS]
+    gain = GAIN * s.radius
     best, start = np.inf, first
     for i in range(first, last + 1):
         columns(s, i, slot, length)
@@ -40,11 +33,11 @@ def fit(s: Memory, slot: int, first: int, last: int, whole: bool) -> tuple[float
 @kernel
 def recognise(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
     """The known exemplar that fits best into frames first..last, which hold a cycle of `length` frames, and where; -1: none does."""
-    best, found, met = s.values[RADIUS], -1, first
+    best, found, met = s.radius, -1, first
     may = candidates(s, first, last)
-    for slot in range(s.clusters.shape[0]):
-        size = s.clusters[slot, SIZE]
-        if may[slot] and s.clusters[slot, NUMBER] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
+    for slot in range(s.cluster_numbers.shape[0]):
+        size = s.exemplar_sizes[slot]
+        if may[slot] and s.cluster_numbers[slot] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
             mean, start = fit(s, slot, first, last, False)
             if mean < best:
                 best, found, met = mean, slot, start
@@ -56,29 +49,29 @@ def keep(s: Memory, first: int, length: int) -> int:
     """`length` frames from `first` on are the exemplar of a new cluster; its slot. Those that were not used for longest make room."""
     slot = vacate(s, length)
     store(s, slot, first, length)
-    s.clusters[slot, NUMBER] = s.books[NEXT_CLUSTER]
+    s.cluster_numbers[slot] = s.next_cluster
     s.leads[slot] = 0.0
     s.travels[slot] = travel(s, first, first + length - 1, length)
-    s.books[NEXT_CLUSTER] += 1
+    s.next_cluster += 1
     use(s, slot)
     return slot
 
 
 @kernel
 def use(s: Memory, slot: int) -> None:
-    s.books[CLOCK] += 1
-    s.clusters[slot, USED] = s.books[CLOCK]
+    s.clock += 1
+    s.exemplar_uses[slot] = s.clock
 
 
 @kernel
 def alike(s: Memory, slot: int, first: int, last: int) -> int:
     """Compare frames first..last, of cluster `slot`, with one other exemplar, each in its turn: its slot if both are one; else -1."""
-    count = s.clusters.shape[0]
+    count = s.cluster_numbers.shape[0]
     for k in range(count):
-        other = (s.books[TURN] + k) % count
-        size, length = s.clusters[other, SIZE], last - first + 1
-        if other == slot or s.clusters[other, NUMBER] < 0 or size > 2 * length or length > 2 * size:
+        other = (s.turn + k) % count
+        size, length = s.exemplar_sizes[other], last - first + 1
+        if other == slot or s.cluster_numbers[other] < 0 or size > 2 * length or length > 2 * size:
             continue
-        s.books[TURN] = other + 1
-        return other if fit(s, other, first, last, True)[0] <= s.values[RADIUS] else -1
+        s.turn = other + 1
+        return other if fit(s, other, first, last, True)[0] <= s.radius else -1
     return -1

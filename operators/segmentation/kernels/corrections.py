@@ -4,14 +4,8 @@ from __future__ import annotations
 
 from kinegraph.operators.segmentation.kernels.events import tell
 from kinegraph.operators.segmentation.kernels.layout import (
-    ACTIVITY,
-    BACK,
-    BACK_TO,
-    BELIEVED,
     BELIEVED_EVENT,
-    BELIEVED_OF,
     COUNT_EVENT,
-    EVENTS,
     Memory,
 )
 from kinegraph.stream.kernel import kernel
@@ -33,13 +27,13 @@ def tell_span(s: Memory, onset: int, end: int, activity: int, number: int) -> No
 def tell_count(s: Memory, activity: int, count: int) -> None:
     """This many repetitions have come in the activity: every number is reported once, and a lower one than the last is a correction. None
     of an activity that is merely believed is certain."""
-    place, first = activity % s.counted.shape[0], s.books[EVENTS]
+    place, first = activity % s.counted.shape[0], s.event_count
     if count < s.counted[place]:
         tell(s, COUNT_EVENT, activity, count, 0, 0, 0, 0)
     for k in range(s.counted[place] + 1, count + 1):
         tell(s, COUNT_EVENT, activity, k, 0, 0, 0, 0)
-    if activity != s.books[ACTIVITY]:
-        s.ratings[first : s.books[EVENTS]] = 0.0
+    if activity != s.activity:
+        s.ratings[first : s.event_count] = 0.0
     s.counted[place] = count
 
 
@@ -48,11 +42,11 @@ def settle_count(s: Memory, activity: int, count: int) -> None:
     """An activity is reported with this many repetitions: what was believed under its number of another one is no longer so."""
     tell_count(s, activity, count)
     s.counted[activity % s.counted.shape[0]] = 0
-    if s.books[BELIEVED_OF] == activity:
-        s.books[BELIEVED] = 0
+    if s.believed_of == activity:
+        s.believed = 0
 
 
 @kernel
 def forget_returns(s: Memory) -> None:
     """What nothing final covers begins elsewhere: excursions there are looked for once more."""
-    s.books[BACK], s.books[BACK_TO] = 0, -1
+    s.back, s.back_to = 0, -1

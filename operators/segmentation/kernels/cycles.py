@@ -8,22 +8,6 @@ import numpy as np
 
 from kinegraph.operators.segmentation.kernels.distances import scaled
 from kinegraph.operators.segmentation.kernels.layout import (
-    AT,
-    BAND,
-    BEST,
-    BEST_END,
-    BEST_START,
-    FARTHEST,
-    FREE,
-    LAG,
-    LENGTH,
-    LIKE,
-    MASS,
-    ORIGIN,
-    RADIUS,
-    RETURNED,
-    SLOT,
-    TRAVEL_SHARE,
     Memory,
 )
 from kinegraph.operators.segmentation.kernels.rest import reported_at_rest
@@ -53,46 +37,43 @@ LONGEST = 2
 
 @kernel
 def sum_up(s: Memory, i: int) -> None:
-    """Frame `i`'s distances at each lag, back to ORIGIN, added to those of the frames before it."""
-    b = s.books
+    """Frame `i`'s distances at each lag, back to `origin`, added to those of the frames before it."""
     row, sums, before = s.rows[i % s.rows.shape[0]], s.sums[i % s.sums.shape[0]], s.sums[(i - 1) % s.sums.shape[0]]
-    for k in range(1, b[LAG] + 1):
-        if k > i - b[ORIGIN]:
+    for k in range(1, s.max_lag + 1):
+        if k > i - s.origin:
             sums[k] = 0.0
         else:
-            sums[k] = before[k] + (row[k] if row[k] < math.inf else FAR * s.values[RADIUS])
+            sums[k] = before[k] + (row[k] if row[k] < math.inf else FAR * s.radius)
 
 
 @kernel
 def last_cycle(s: Memory, i: int, k: int) -> float:
-    """Mean distance of the newest frames to those `k` before them: of as many as a cycle has, or opens an activity, back to ORIGIN."""
-    b = s.books
-    n = min(max(k, b[MASS]), i - b[ORIGIN] + 1 - k)
+    """Mean distance of the newest frames to those `k` before them: of as many as a cycle has, or opens an activity, back to `origin`."""
+    n = min(max(k, s.mass), i - s.origin + 1 - k)
     total = s.sums[i % s.sums.shape[0], k] - s.sums[(i - n) % s.sums.shape[0], k]
     return float(total / n)
 
 
 @kernel
 def cycle_length(s: Memory, i: int, last_chance: bool) -> int:
-    """The cycle's length by what the newest frames, up to `i`, have in common with those before them; 0: none. Notes in RETURNED
+    """The cycle's length by what the newest frames, up to `i`, have in common with those before them; 0: none. Notes in `has_returned`
     whether they come back at all, if not as closely as for a cycle.
     """
-    b = s.books
-    last = longest_lag(s, i - b[ORIGIN] + 1)
+    last = longest_lag(s, i - s.origin + 1)
     for k in range(1, last + 1):
         s.scratch[k] = last_cycle(s, i, k)
     length, returned = first_dip(s, last, last_chance)
     if returned:
-        b[RETURNED] = 1
+        s.has_returned = True
     return length
 
 
 @kernel
 def longest_lag(s: Memory, seen: int) -> int:
     """The longest lag that `seen` frames say something about."""
-    b, last = s.books, 0
-    for k in range(1, b[LAG] + 1):
-        if seen - k < SEEN * max(k, b[MASS]):
+    last = 0
+    for k in range(1, s.max_lag + 1):
+        if seen - k < SEEN * max(k, s.mass):
             break
         last = k
     return last
@@ -105,10 +86,10 @@ def first_dip(s: Memory, last: int, last_chance: bool) -> tuple[int, bool]:
     Mean distances at the lags 1..last are in `scratch`. The lag must be the lowest among those about as long; at its `last_chance`, among
     those that there are.
     """
-    largest, returned, radius, means = 0.0, False, s.values[RADIUS], s.scratch
+    largest, returned, radius, means = 0.0, False, s.radius, s.scratch
     for k in range(1, last + 1):
         mean = means[k]
-        if k >= s.books[BAND] and largest >= LEAVES * radius and mean < RETURNS * largest and mean <= TRUSTS * radius:
+        if k >= s.band and largest >= LEAVES * radius and mean < RETURNS * largest and mean <= TRUSTS * radius:
             returned = True
             wide = max(2, k // 5)
             lowest = mean < DIP * largest and mean <= radius
@@ -129,7 +110,7 @@ def columns(s: Memory, i: int, slot: int, length: int) -> None:
     ring, room = s.times.shape[0], s.exemplars.shape[1]
     for c in range(length):
         out[c] = common[c] = 0.0
-    at = s.clusters[slot, AT] % room
+    at = s.exemplar_starts[slot] % room
     before = min(length, room - at)
     for d in range(s.frames.shape[0]):
         v = s.frames[d, i % ring]
@@ -142,7 +123,7 @@ def columns(s: Memory, i: int, slot: int, length: int) -> None:
     for c in range(length):
         out[c] = scaled(s, out[c], common[c])
         if out[c] == math.inf:
-            out[c] = FAR * s.values[RADIUS]
+            out[c] = FAR * s.radius
 
 
 @kernel
@@ -182,9 +163,9 @@ def begin_tracking(s: Memory, free: int) -> None:
     """Nothing known of the exemplar's paths; they may start at frame `free`."""
     s.cost[:] = np.inf
     s.begin[:] = -1
-    s.books[FREE] = free
-    s.books[BEST_START] = s.books[BEST_END] = -1
-    s.values[BEST] = np.inf
+    s.free = free
+    s.best_start = s.best_end = -1
+    s.best = np.inf
 
 
 @kernel
@@ -212,37 +193,35 @@ def travel(s: Memory, first: int, last: int, length: int) -> float:
 @kernel
 def trusted(s: Memory) -> float:
     """How far a repetition may lie from its exemplar: TRUSTS radii, and as soon as SURE have shown how far theirs do, STRAYS times that."""
-    radius = s.values[RADIUS]
-    if s.books[LIKE] < SURE:
+    radius = s.radius
+    if s.like_count < SURE:
         return float(TRUSTS * radius)
-    return float(min(TRUSTS * radius, max(STRAYS * s.values[FARTHEST], SAME * radius)))
+    return float(min(TRUSTS * radius, max(STRAYS * s.farthest, SAME * radius)))
 
 
 @kernel
 def track(s: Memory, i: int) -> bool:
-    """Follow the exemplar's paths to frame `i`; True if the best one (BEST_START to BEST_END) is now accepted. None begins at rest."""
-    b = s.books
-    length = b[LENGTH]
+    """Follow the exemplar's paths to frame `i`; True if the best one (`best_start` to `best_end`) is now accepted. None begins at rest."""
+    length = s.length
     for c in range(length):
         if s.begin[0, c] >= 0 and reported_at_rest(s, s.begin[0, c]):
             s.cost[0, c], s.begin[0, c] = math.inf, -1
-    columns(s, i, b[SLOT], length)
-    radius = s.values[RADIUS]
-    mean = advance(s.scratch, i, length, b[FREE], GAIN * radius, s.cost, s.begin)
-    better = mean <= trusted(s) and mean < s.values[BEST]
-    if better and travel(s, s.begin[0, length - 1], i, length) >= s.values[TRAVEL_SHARE] * s.travels[b[SLOT]]:
-        s.values[BEST] = mean
-        b[BEST_START], b[BEST_END] = s.begin[0, length - 1], i
-    return bool(b[BEST_END] >= 0 and i - b[BEST_END] >= patience(length))
+    columns(s, i, s.slot, length)
+    radius = s.radius
+    mean = advance(s.scratch, i, length, s.free, GAIN * radius, s.cost, s.begin)
+    better = mean <= trusted(s) and mean < s.best
+    if better and travel(s, s.begin[0, length - 1], i, length) >= s.travel_share * s.travels[s.slot]:
+        s.best = mean
+        s.best_start, s.best_end = s.begin[0, length - 1], i
+    return bool(s.best_end >= 0 and i - s.best_end >= patience(length))
 
 
 @kernel
 def release(s: Memory) -> None:
     """The best path is accepted: the next one starts about where it ended."""
-    b = s.books
-    b[FREE] = b[BEST_END] + 1 - patience(b[LENGTH]) // 2
-    for c in range(b[LENGTH]):
-        if s.begin[0, c] < b[FREE]:
+    s.free = s.best_end + 1 - patience(s.length) // 2
+    for c in range(s.length):
+        if s.begin[0, c] < s.free:
             s.cost[0, c], s.begin[0, c] = np.inf, -1
-    b[BEST_START] = b[BEST_END] = -1
-    s.values[BEST] = np.inf
+    s.best_start = s.best_end = -1
+    s.best = np.inf

@@ -7,21 +7,6 @@ import math
 import numpy as np
 
 from kinegraph.operators.segmentation.kernels.layout import (
-    BAND,
-    BAND_LEAST,
-    BAND_MOST,
-    FACTOR,
-    FIXED,
-    LAG,
-    MOVED,
-    NEXT,
-    PATCHY,
-    PRESENT,
-    RADIUS,
-    ROWS,
-    SEED,
-    SINCE,
-    WINDOW,
     Memory,
 )
 from kinegraph.operators.segmentation.kernels.rest import at_rest
@@ -37,49 +22,47 @@ SAMPLED = 64
 
 @kernel
 def insert(s: Memory, x: Samples, stamp: int) -> int:
-    """Take frame `x` (features,) and its distances to the LAG frames before it; returns its number.
+    """Take frame `x` (features,) and its distances to the `max_lag` frames before it; returns its number.
 
     Distances are Euclidean over the root of the number of features that both frames have (the thesis's generalised radius). A frame in
     which fewer than half of the features are known that have been known within the window stands for the one before it, and has no
     neighbours.
     """
-    b = s.books
-    t = int(b[NEXT])
-    b[NEXT] = t + 1
+    t = int(s.next_frame)
+    s.next_frame = t + 1
     ring = s.times.shape[0]
     p = t % ring
     good = is_known(s, x, t)
     for d in range(s.frames.shape[0]):
         v = finite(x[d] if good else s.frames[d, (t - 1) % ring])
         if v != v:
-            b[PATCHY] = t
+            s.patchy = t
         s.frames[d, p] = v
         s.frames[d, p + ring] = v
     s.times[p] = stamp
     row = s.rows[t % s.rows.shape[0]]
-    n = min(b[LAG], t - b[SINCE])
-    if t - n > b[PATCHY]:
+    n = min(s.max_lag, t - s.since)
+    if t - n > s.patchy:
         measure_whole(s, p + ring - n, n, row)
     else:
         measure(s, p + ring - n, n, row)
     for k in range(n + 1, row.shape[0]):
         row[k] = math.inf
     s.near[t % s.near.shape[0]] = 0 if good else 2
-    s.moves[p] = s.values[MOVED]
+    s.moves[p] = s.moved
     return t
 
 
 @kernel
 def is_known(s: Memory, x: Samples, t: int) -> bool:
     """Whether enough of frame `t` is known, of what has been known lately; notes what is."""
-    b = s.books
     known, present = 0, 0
     for d in range(x.shape[0]):
         if math.isfinite(x[d]):
             s.known[d] = t
             known += 1
-        present += t - s.known[d] < b[WINDOW]
-    b[PRESENT] = present
+        present += t - s.known[d] < s.window
+    s.present = present
     return known > 0 and known * KNOWN >= present
 
 
@@ -121,7 +104,7 @@ def measure(s: Memory, first: int, n: int, row: Samples) -> None:
 @kernel
 def scaled(s: Memory, squares: float, common: float) -> float:
     """The distance of two frames, from the number of features in common and the sum of their squared differences; infinity: too few."""
-    if common == 0.0 or common * SHARED < s.books[PRESENT]:
+    if common == 0.0 or common * SHARED < s.present:
         return math.inf
     return math.sqrt(squares / common)
 
@@ -150,8 +133,7 @@ def between(s: Memory, i: int, j: int) -> float:
 
 @kernel
 def mark(s: Memory, i: int, seed: int) -> bool:
-    """Whether frame `i` has a neighbour: at least BAND, at most LAG frames before it, not before `seed`. Notes it in `near`."""
-    b = s.books
+    """Whether frame `i` has a neighbour: at least `band`, at most `max_lag` frames before it, not before `seed`. Notes it in `near`."""
     place = i % s.near.shape[0]
     if s.near[place] == 2:
         return False
@@ -159,8 +141,8 @@ def mark(s: Memory, i: int, seed: int) -> bool:
     s.near[place] = 0
     if at_rest(s, i):
         return False
-    for k in range(b[BAND], min(b[LAG], i - seed) + 1):
-        if row[k] <= s.values[RADIUS]:
+    for k in range(s.band, min(s.max_lag, i - seed) + 1):
+        if row[k] <= s.radius:
             s.near[place] = 1
             return True
     return False
@@ -169,20 +151,18 @@ def mark(s: Memory, i: int, seed: int) -> bool:
 @kernel
 def choose_radius(s: Memory, t: int) -> None:
     """The radius that is typical of the window; then the band, and who has a neighbour."""
-    b = s.books
-    if not b[FIXED]:
-        s.values[RADIUS] = typical(s, t)
+    if not s.is_radius_fixed:
+        s.radius = typical(s, t)
     choose_band(s, t)
-    b[ROWS] = 0
-    for i in range(max(b[SEED], t - b[LAG] + 1), t):
-        b[ROWS] += mark(s, i, b[SEED])
+    s.near_count = 0
+    for i in range(max(s.seed, t - s.max_lag + 1), t):
+        s.near_count += mark(s, i, s.seed)
 
 
 @kernel
 def typical(s: Memory, t: int) -> float:
     """A share of the median distance between the window's frames that are not at rest."""
-    b = s.books
-    moving = lively(s, max(b[SINCE], t - b[WINDOW] + 1), t)
+    moving = lively(s, max(s.since, t - s.window + 1), t)
     step = max(1, len(moving) // SAMPLED)
     n = (len(moving) + step - 1) // step
     apart = np.empty(n * (n - 1) // 2)
@@ -193,7 +173,16 @@ def typical(s: Memory, t: int) -> float:
             if far < math.inf:
                 apart[at] = far
                 at += 1
-    return float(s.values[FACTOR] * np.median(apart[:at])) if at else 0.0
+    return s.radius_share * median(apart, at) if at else 0.0
+
+
+@kernel
+def median(values: Samples, count: int) -> float:
+    """Of the first `count` values, which are put in order: half of what numpy's takes to compile."""
+    first = values[:count]
+    first.sort()
+    middle = count // 2
+    return float(first[middle] if count % 2 else (first[middle - 1] + first[middle]) / 2.0)
 
 
 @kernel
@@ -210,19 +199,18 @@ def lively(s: Memory, first: int, last: int) -> Times:
 @kernel
 def choose_band(s: Memory, t: int) -> None:
     """How long frames typically stay within the radius of themselves, half as long again, within the bounds."""
-    b = s.books
-    first = max(b[SINCE], t - b[LAG])
-    count = np.zeros(b[BAND_MOST] + 1, np.int64)
+    first = max(s.since, t - s.max_lag)
+    count = np.zeros(s.max_band + 1, np.int64)
     seen = 0
     for i in lively(s, first, t - 1):
         seen += 1
         row = s.rows[i % s.rows.shape[0]]
         k = 1
-        while k < b[BAND_MOST] and k <= i - b[SINCE] and row[k] <= s.values[RADIUS]:
+        while k < s.max_band and k <= i - s.since and row[k] <= s.radius:
             k += 1
         count[k] += 1
     total, k = 0, 0
-    while k < b[BAND_MOST] and 2 * (total + count[k]) < seen:
+    while k < s.max_band and 2 * (total + count[k]) < seen:
         total += count[k]
         k += 1
-    b[BAND] = min(b[BAND_MOST], max(b[BAND_LEAST], k + k // 2))
+    s.band = min(s.max_band, max(s.min_band, k + k // 2))

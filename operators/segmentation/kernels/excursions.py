@@ -10,22 +10,14 @@ from kinegraph.operators.segmentation.kernels.corrections import tell_span
 from kinegraph.operators.segmentation.kernels.distances import between
 from kinegraph.operators.segmentation.kernels.events import stamp, tell
 from kinegraph.operators.segmentation.kernels.layout import (
-    FIRM,
-    LAG,
-    NEXT,
-    PIECES_AT,
-    PIECES_FROM,
     PRIMITIVE_EVENT,
-    QUIET,
-    SINCE,
-    TOLD_TO,
     Memory,
 )
 from kinegraph.stream.chunk import Times
 from kinegraph.stream.kernel import kernel
 
 STANDS = 0.75
-"""A resting pose lies at most this many radii from the frames of the QUIET before it, on the mean."""
+"""A resting pose lies at most this many radii from the frames of the `quiet` before it, on the mean."""
 EXTENT = 2.0
 """An excursion goes at least this many radii away from it."""
 HOME = 0.4
@@ -40,12 +32,11 @@ MOST = 128
 def excursions(s: Memory, first: int, last: int, radius: float) -> Times:
     """Those whose farthest frame is one of first..last: first and last frame of each (n, 2), cut to first..last.
 
-    Only those count to which another one is alike, of all that are seen up to LAG before `first` and after `last`.
+    Only those count to which another one is alike, of all that are seen up to `max_lag` before `first` and after `last`.
     """
-    b = s.books
-    start = max(b[SINCE], first - b[LAG], b[NEXT] - 3 * b[LAG] - b[FIRM])
-    stop = min(b[NEXT], last + 1 + b[LAG])
-    pose = resting_pose(s, max(first, start + b[QUIET]), last, radius)
+    start = max(s.since, first - s.max_lag, s.next_frame - 3 * s.max_lag - s.firm)
+    stop = min(s.next_frame, last + 1 + s.max_lag)
+    pose = resting_pose(s, max(first, start + s.quiet), last, radius)
     found = outings(s, start, stop, pose, radius)
     chosen, n = np.empty((len(found), 2), np.int64), 0
     if len(found) > MOST:
@@ -61,8 +52,8 @@ def excursions(s: Memory, first: int, last: int, radius: float) -> Times:
 
 @kernel
 def resting_pose(s: Memory, first: int, last: int, radius: float) -> int:
-    """Of the frames first..last the one that lies nearest to those of the QUIET before it; -1: none stands still."""
-    quiet, least, pose = s.books[QUIET], STANDS * radius, -1
+    """Of the frames first..last the one that lies nearest to those of the `quiet` before it; -1: none stands still."""
+    quiet, least, pose = s.quiet, STANDS * radius, -1
     for i in range(first, last + 1):
         total = 0.0
         for k in range(1, quiet + 1):
@@ -112,19 +103,18 @@ def any_like(s: Memory, found: Times, k: int, pose: int) -> bool:
 
 @kernel
 def tell_excursions(s: Memory, last: int, activity: int, told: int, radius: float) -> int:
-    """Report the excursions among the frames PIECES_FROM..last of an activity, and the parts between them; how many there are.
+    """Report the excursions among the frames `pieces_from`..last of an activity, and the parts between them; how many there are.
 
     The numbers of its repetitions go on after `told`.
     """
-    b = s.books
-    found = excursions(s, b[PIECES_FROM], last, radius)
+    found = excursions(s, s.pieces_from, last, radius)
     for k in range(len(found)):
-        onset, end = max(found[k, 0], b[PIECES_FROM]), found[k, 1]
-        if onset > b[PIECES_FROM]:
-            tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, onset - 1), activity, 0, -1, 0)
+        onset, end = max(found[k, 0], s.pieces_from), found[k, 1]
+        if onset > s.pieces_from:
+            tell(s, PRIMITIVE_EVENT, s.pieces_at, stamp(s, onset - 1), activity, 0, -1, 0)
             go_on(s, onset)
-        tell_span(s, b[PIECES_AT], stamp(s, end), activity, told + k + 1)
-        tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, end), activity, told + k + 1, -1, 0)
+        tell_span(s, s.pieces_at, stamp(s, end), activity, told + k + 1)
+        tell(s, PRIMITIVE_EVENT, s.pieces_at, stamp(s, end), activity, told + k + 1, -1, 0)
         go_on(s, end + 1)
     return len(found)
 
@@ -132,6 +122,5 @@ def tell_excursions(s: Memory, last: int, activity: int, told: int, radius: floa
 @kernel
 def go_on(s: Memory, first: int) -> None:
     """Primitives are reported up to the frame before `first`."""
-    b = s.books
-    b[TOLD_TO] = stamp(s, first - 1)
-    b[PIECES_FROM], b[PIECES_AT] = first, s.times[first % s.times.shape[0]]
+    s.reported_to = stamp(s, first - 1)
+    s.pieces_from, s.pieces_at = first, s.times[first % s.times.shape[0]]

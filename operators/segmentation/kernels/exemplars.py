@@ -13,15 +13,7 @@ from kinegraph.operators.neighbours.layout import LARGEST, BareIndex
 from kinegraph.operators.neighbours.search import search
 from kinegraph.operators.neighbours.window import prepare
 from kinegraph.operators.segmentation.kernels.layout import (
-    AT,
-    KEPT,
-    LAG,
     LONGEST_EXEMPLARS,
-    NUMBER,
-    RADIUS,
-    SIZE,
-    USED,
-    WHOLE,
     Memory,
 )
 from kinegraph.stream.chunk import Array, Samples, Times
@@ -41,8 +33,9 @@ def store(s: Memory, slot: int, first: int, length: int) -> None:
     ring = s.times.shape[0]
     frames = np.empty((s.frames.shape[0], length))
     for c in range(length):
-        frames[:, c] = s.frames[:, (first + c) % ring]
-    s.clusters[slot, NUMBER] = -1
+        for d in range(s.frames.shape[0]):
+            frames[d, c] = s.frames[d, (first + c) % ring]
+    s.cluster_numbers[slot] = -1
     make_room(s, length)
     append(s, slot, frames)
 
@@ -53,10 +46,10 @@ def make_room(s: Memory, length: int) -> None:
     room = s.exemplars.shape[1]
     while True:
         oldest = -1
-        for k in range(s.clusters.shape[0]):
-            if s.clusters[k, NUMBER] >= 0 and (oldest < 0 or s.clusters[k, AT] < s.clusters[oldest, AT]):
+        for k in range(s.cluster_numbers.shape[0]):
+            if s.cluster_numbers[k] >= 0 and (oldest < 0 or s.exemplar_starts[k] < s.exemplar_starts[oldest]):
                 oldest = k
-        if oldest < 0 or s.clusters[oldest, AT] >= s.books[KEPT] + length - room:
+        if oldest < 0 or s.exemplar_starts[oldest] >= s.kept + length - room:
             return
         append(s, oldest, copied(s, oldest))
 
@@ -64,10 +57,11 @@ def make_room(s: Memory, length: int) -> None:
 @kernel
 def copied(s: Memory, slot: int) -> Samples:
     """The frames of an exemplar (features, length)."""
-    length, room = s.clusters[slot, SIZE], s.exemplars.shape[1]
+    length, room = s.exemplar_sizes[slot], s.exemplars.shape[1]
     frames = np.empty((s.exemplars.shape[0], length))
     for c in range(length):
-        frames[:, c] = s.exemplars[:, (s.clusters[slot, AT] + c) % room]
+        for d in range(s.exemplars.shape[0]):
+            frames[d, c] = s.exemplars[d, (s.exemplar_starts[slot] + c) % room]
     return frames
 
 
@@ -75,17 +69,17 @@ def copied(s: Memory, slot: int) -> Samples:
 def append(s: Memory, slot: int, frames: Samples) -> None:
     """Write an exemplar's frames (features, length) where the ring goes on, and enter them into the index."""
     room, whole = s.exemplars.shape[1], 1
-    s.clusters[slot, AT], s.clusters[slot, SIZE] = s.books[KEPT], frames.shape[1]
+    s.exemplar_starts[slot], s.exemplar_sizes[slot] = s.kept, frames.shape[1]
     row = np.empty(frames.shape[0])
     for c in range(frames.shape[1]):
-        place = s.books[KEPT] % room
+        place = s.kept % room
         for d in range(frames.shape[0]):
             row[d] = s.exemplars[d, place] = frames[d, c]
             whole = whole if abs(row[d]) <= LARGEST else 0
         s.owners[place] = slot
         enter(s.lookup, s.lookup_books, row, math.nan)
-        s.books[KEPT] += 1
-    s.clusters[slot, WHOLE] = whole
+        s.kept += 1
+    s.exemplar_whole[slot] = whole
 
 
 @kernel
@@ -93,16 +87,16 @@ def vacate(s: Memory, length: int) -> int:
     """A free slot, after those used longest ago have left, as many as keep `length` frames from their place."""
     while True:
         free, oldest, frames = -1, -1, length
-        for k in range(s.clusters.shape[0]):
-            if s.clusters[k, NUMBER] < 0:
+        for k in range(s.cluster_numbers.shape[0]):
+            if s.cluster_numbers[k] < 0:
                 free = k if free < 0 else free
                 continue
-            frames += s.clusters[k, SIZE]
-            if oldest < 0 or s.clusters[k, USED] < s.clusters[oldest, USED]:
+            frames += s.exemplar_sizes[k]
+            if oldest < 0 or s.exemplar_uses[k] < s.exemplar_uses[oldest]:
                 oldest = k
-        if free >= 0 and (oldest < 0 or frames <= LONGEST_EXEMPLARS * s.books[LAG]):
+        if free >= 0 and (oldest < 0 or frames <= LONGEST_EXEMPLARS * s.max_lag):
             return int(free)
-        s.clusters[oldest, NUMBER] = -1
+        s.cluster_numbers[oldest] = -1
 
 
 @kernel
@@ -111,22 +105,22 @@ def candidates(s: Memory, first: int, last: int) -> Array:
 
     A path's mean distance is not below its least one, so that the others cannot. What lacks features, or lies beyond float32, may.
     """
-    may = np.zeros(s.clusters.shape[0], np.bool_)
+    may = np.zeros(s.cluster_numbers.shape[0], np.bool_)
     for k in range(may.shape[0]):
-        may[k] = s.clusters[k, NUMBER] >= 0 and not s.clusters[k, WHOLE]
+        may[k] = s.cluster_numbers[k] >= 0 and not s.exemplar_whole[k]
     ix, room, ring = bare_index(s.lookup, s.lookup_books), s.exemplars.shape[1], s.times.shape[0]
     numbers, far, ways = np.empty(room, np.int64), np.empty(room, np.float32), np.empty((room, 2), np.bool_)
     row = np.empty(s.frames.shape[0])
     for i in range(first, last + 1):
         for d in range(row.shape[0]):
             row[d] = s.frames[d, i % ring]
-        found = near(ix, row, s.values[RADIUS], numbers, far, ways)
+        found = near(ix, row, s.radius, numbers, far, ways)
         if found == ALL:
             may[:] = True
             return may
         for k in range(found):
             slot = s.owners[numbers[k] % room]
-            may[slot] = may[slot] or s.clusters[slot, AT] <= numbers[k]
+            may[slot] = may[slot] or s.exemplar_starts[slot] <= numbers[k]
     return may
 
 

@@ -9,36 +9,10 @@ from kinegraph.operators.segmentation.kernels.division import divide
 from kinegraph.operators.segmentation.kernels.events import stamp, tell
 from kinegraph.operators.segmentation.kernels.excursions import tell_excursions
 from kinegraph.operators.segmentation.kernels.layout import (
-    ACTIVITY,
     ACTIVITY_EVENT,
     BEGIN_EVENT,
-    CLUSTER,
-    COUNT,
-    CYCLES,
-    FARTHEST,
-    FROM,
-    LIKE,
     MERGE_EVENT,
-    NEXT,
-    NUMBER,
-    OPEN,
-    OUTINGS,
-    PENDING,
-    PIECES_AT,
-    PIECES_FROM,
-    PRICE,
-    PRICES,
     PRIMITIVE_EVENT,
-    RADIUS,
-    REPEATED,
-    SLOT,
-    START,
-    START_AT,
-    TOLD,
-    TOLD_TO,
-    UNTOLD,
-    UNTOLD_AT,
-    WINDOW,
     Memory,
 )
 from kinegraph.operators.segmentation.kernels.separation import gaps
@@ -49,49 +23,47 @@ from kinegraph.stream.kernel import kernel
 @kernel
 def settle(s: Memory, last: int) -> None:
     """The pending repetition ends at `last`: it is reported, and compared with another cluster's exemplar."""
-    b = s.books
-    b[CYCLES] += 1
-    s.values[PRICES] += s.values[PRICE]
-    if b[CYCLES] > 1:
-        b[REPEATED] = b[NEXT] + b[WINDOW]
-    b[PENDING] = 0
-    b[LIKE] += 1
-    s.values[FARTHEST] = max(s.values[FARTHEST], s.values[PRICE])
-    join(s, stamp(s, b[FROM]), stamp(s, last))
-    slot = b[SLOT]
-    tell_span(s, stamp(s, b[FROM]), stamp(s, last), b[ACTIVITY], b[CYCLES] + b[OUTINGS])
-    kind, half = symmetry(s, slot, b[FROM], last + 1)
+    s.cycles += 1
+    s.prices += s.price
+    if s.cycles > 1:
+        s.repeated_until = s.next_frame + s.window
+    s.is_pending = False
+    s.like_count += 1
+    s.farthest = max(s.farthest, s.price)
+    join(s, stamp(s, s.pending_from), stamp(s, last))
+    slot = s.slot
+    tell_span(s, stamp(s, s.pending_from), stamp(s, last), s.activity, s.cycles + s.outings)
+    kind, half = symmetry(s, slot, s.pending_from, last + 1)
     s.kinds[kind] += 1
     if half >= 0:
-        side = leader(s, slot, b[FROM], half, last + 1)
-        tell_step(s, b[FROM], half - 1, side)
+        side = leader(s, slot, s.pending_from, half, last + 1)
+        tell_step(s, s.pending_from, half - 1, side)
         tell_step(s, half, last, 3 - side)
     else:
-        tell_step(s, b[FROM], last, 0)
+        tell_step(s, s.pending_from, last, 0)
     told_to(s, last)
-    other = alike(s, slot, b[FROM], last)
+    other = alike(s, slot, s.pending_from, last)
     if other >= 0:
-        gone, stays = (slot, other) if s.clusters[slot, NUMBER] > s.clusters[other, NUMBER] else (other, slot)
-        tell(s, MERGE_EVENT, s.clusters[gone, NUMBER], s.clusters[stays, NUMBER], 0, 0, 0, 0)
+        gone, stays = (slot, other) if s.cluster_numbers[slot] > s.cluster_numbers[other] else (other, slot)
+        tell(s, MERGE_EVENT, s.cluster_numbers[gone], s.cluster_numbers[stays], 0, 0, 0, 0)
         if gone == slot:
-            s.clusters[slot, NUMBER], s.clusters[other, NUMBER] = s.clusters[other, NUMBER], -1
-            b[CLUSTER] = s.clusters[slot, NUMBER]
+            s.cluster_numbers[slot], s.cluster_numbers[other] = s.cluster_numbers[other], -1
+            s.cluster = s.cluster_numbers[slot]
         else:
-            s.clusters[other, NUMBER] = -1
+            s.cluster_numbers[other] = -1
 
 
 @kernel
 def tell_step(s: Memory, first: int, last: int, side: int) -> None:
     """A repetition, or one side's step of it, is reported."""
-    b = s.books
     tell(
         s,
         PRIMITIVE_EVENT,
         stamp(s, first),
         stamp(s, last),
-        b[ACTIVITY],
-        b[CYCLES] + b[OUTINGS],
-        b[CLUSTER],
+        s.activity,
+        s.cycles + s.outings,
+        s.cluster,
         SIDED * side,
     )
 
@@ -117,36 +89,33 @@ SYMMETRIC = 4
 @kernel
 def told_to(s: Memory, last: int) -> None:
     """Primitives are reported up to frame `last`."""
-    b = s.books
-    b[TOLD_TO] = stamp(s, last)
-    b[PIECES_FROM], b[PIECES_AT] = last + 1, s.times[(last + 1) % s.times.shape[0]]
+    s.reported_to = stamp(s, last)
+    s.pieces_from, s.pieces_at = last + 1, s.times[(last + 1) % s.times.shape[0]]
 
 
 @kernel
 def piece(s: Memory, last: int, forced: bool) -> None:
     """A part of an activity that is no repetition."""
-    b = s.books
-    found = tell_excursions(s, last, b[ACTIVITY], b[CYCLES] + b[OUTINGS], s.values[RADIUS])
-    b[OUTINGS] += found
-    b[COUNT] += found
-    if b[PIECES_FROM] <= last:
-        tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stamp(s, last), b[ACTIVITY], 0, -1, forced)
+    found = tell_excursions(s, last, s.activity, s.cycles + s.outings, s.radius)
+    s.outings += found
+    s.count += found
+    if s.pieces_from <= last:
+        tell(s, PRIMITIVE_EVENT, s.pieces_at, stamp(s, last), s.activity, 0, -1, forced)
         told_to(s, last)
 
 
 @kernel
 def tell_start(s: Memory) -> None:
     """The activity's start is decided; what lies before it belongs to the one before, or is a stretch of its own."""
-    b = s.books
     divide(s)
-    first = b[START]
-    b[START_AT] = b[UNTOLD_AT] if first == b[UNTOLD] else s.times[first % s.times.shape[0]]
-    b[TOLD] = 1
+    first = s.start
+    s.start_at = s.unreported_at if first == s.unreported else s.times[first % s.times.shape[0]]
+    s.is_start_final = True
     forget_returns(s)
-    if first > b[UNTOLD]:
+    if first > s.unreported:
         stretch(s, first - 1, False)
-    b[PIECES_FROM], b[PIECES_AT] = first, b[START_AT]
-    tell(s, BEGIN_EVENT, b[START_AT], b[ACTIVITY], 0, 0, 0, 0)
+    s.pieces_from, s.pieces_at = first, s.start_at
+    tell(s, BEGIN_EVENT, s.start_at, s.activity, 0, 0, 0, 0)
 
 
 STRETCH = 2
@@ -155,26 +124,24 @@ STRETCH = 2
 
 @kernel
 def stretch(s: Memory, last: int, forced: bool) -> None:
-    """What lies between activities, from UNTOLD to `last`, repeats nothing: one primitive, or where it falls into several, one each."""
-    b = s.books
+    """Frames `unreported` to `last`, between activities, repeat nothing: one primitive, or where they fall into several, one each."""
     parted = 0
-    if b[OPEN] or b[REPEATED] >= b[NEXT]:
-        for cut in gaps(s, b[UNTOLD], last + 1, s.values[RADIUS]):
+    if s.is_open or s.repeated_until >= s.next_frame:
+        for cut in gaps(s, s.unreported, last + 1, s.radius):
             passage(s, cut - 1, 0)
-            b[UNTOLD], b[UNTOLD_AT] = cut, s.times[cut % s.times.shape[0]]
+            s.unreported, s.unreported_at = cut, s.times[cut % s.times.shape[0]]
             parted = 1
     passage(s, last, forced if parted else STRETCH + forced)
 
 
 @kernel
 def passage(s: Memory, last: int, how: int) -> None:
-    """Frames UNTOLD to `last` are an activity that repeats nothing."""
-    b = s.books
-    onset, stop = b[UNTOLD_AT], s.times[last % s.times.shape[0]]
-    b[PIECES_FROM], b[PIECES_AT] = b[UNTOLD], onset
-    found = tell_excursions(s, last, b[ACTIVITY], 0, s.values[RADIUS])
-    if b[PIECES_FROM] <= last:
-        tell(s, PRIMITIVE_EVENT, b[PIECES_AT], stop, b[ACTIVITY], 0, -1, how & 1)
-    settle_count(s, b[ACTIVITY], found)
-    tell(s, ACTIVITY_EVENT, onset, stop, b[ACTIVITY], found, -1, how if not found else how & 1)
-    b[ACTIVITY] += 1
+    """Frames `unreported` to `last` are an activity that repeats nothing."""
+    onset, stop = s.unreported_at, s.times[last % s.times.shape[0]]
+    s.pieces_from, s.pieces_at = s.unreported, onset
+    found = tell_excursions(s, last, s.activity, 0, s.radius)
+    if s.pieces_from <= last:
+        tell(s, PRIMITIVE_EVENT, s.pieces_at, stop, s.activity, 0, -1, how & 1)
+    settle_count(s, s.activity, found)
+    tell(s, ACTIVITY_EVENT, onset, stop, s.activity, found, -1, how if not found else how & 1)
+    s.activity += 1

@@ -1,108 +1,139 @@
-"""What a segmentation remembers, and where: one named tuple of flat arrays, so that kernels take one thing."""
+"""What a segmentation remembers: one record of arrays and numbers, so that kernels take one argument."""
 
 from __future__ import annotations
 
-from dataclasses import make_dataclass
-from typing import NamedTuple
+import math
+from dataclasses import dataclass, fields
+from operator import attrgetter
 
 import numpy as np
 
 from kinegraph.operators.neighbours.layout import Floats
 from kinegraph.operators.neighbours.layout import allocate as index_of
 from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.compiler.record import numbers_of, record
 
-NAMES = [
-    "LAG", "WINDOW", "LEARN", "QUIET", "MASS", "SETTLE", "FIRM", "BAND_LEAST", "BAND_MOST", "EVERY", "REST", "FIXED",
-    "NEXT", "SINCE", "SEED", "UNTOLD", "UNTOLD_AT", "BAND", "RADIUS_AT", "ROWS", "OPEN", "OPENED", "LAST", "BEGUN",
-    "RETURNED", "REPEATED", "START", "START_AT", "ACTIVITY", "NOTICED", "GROWN", "AHEAD", "FORESEEN",
-    "MODE", "ORIGIN", "DONE", "SLOT", "LENGTH", "FREE", "BEST_START", "BEST_END", "COUNT", "PENDING", "FROM", "TO", "CYCLES",
-    "PIECES_FROM", "PIECES_AT", "TOLD_TO", "BOUT", "BOUT_COUNT", "BOUT_AT", "BOUT_TO",
-    "CLUSTER", "NEXT_CLUSTER", "CLOCK", "TURN", "EVENTS", "TOLD", "NOW", "PRESENT", "PATCHY",
-    "RECENT", "RESTED", "REST_FROM", "REST_TO", "PEAK_AT", "BELIEVED", "BELIEVED_OF", "LIKE",
-    "TRANSITION", "RESUMED", "HELD", "HELD_FIRST", "HELD_LAST", "HELD_AT", "HELD_TO", "HELD_CYCLES", "HELD_CLUSTER", "HELD_HOW",
-    "KEPT", "OUTINGS", "STOOD", "BACK", "BACK_FROM", "BACK_TO", "UNSEEN", "PERIOD",
-]  # fmt: skip
-(
-    LAG, WINDOW, LEARN, QUIET, MASS, SETTLE, FIRM, BAND_LEAST, BAND_MOST, EVERY, REST, FIXED,
-    NEXT, SINCE, SEED, UNTOLD, UNTOLD_AT, BAND, RADIUS_AT, ROWS, OPEN, OPENED, LAST, BEGUN,
-    RETURNED, REPEATED, START, START_AT, ACTIVITY, NOTICED, GROWN, AHEAD, FORESEEN,
-    MODE, ORIGIN, DONE, SLOT, LENGTH, FREE, BEST_START, BEST_END, COUNT, PENDING, FROM, TO, CYCLES,
-    PIECES_FROM, PIECES_AT, TOLD_TO, BOUT, BOUT_COUNT, BOUT_AT, BOUT_TO,
-    CLUSTER, NEXT_CLUSTER, CLOCK, TURN, EVENTS, TOLD, NOW, PRESENT, PATCHY,
-    RECENT, RESTED, REST_FROM, REST_TO, PEAK_AT, BELIEVED, BELIEVED_OF, LIKE,
-    TRANSITION, RESUMED, HELD, HELD_FIRST, HELD_LAST, HELD_AT, HELD_TO, HELD_CYCLES, HELD_CLUSTER, HELD_HOW,
-    KEPT, OUTINGS, STOOD, BACK, BACK_FROM, BACK_TO, UNSEEN, PERIOD,
-) = range(len(NAMES))  # fmt: skip
-"""
-LAG                       longest cycle, and how far back neighbours are looked for, in frames; as all down to REST
-WINDOW, LEARN             frames that the radius is taken from; how many there must be
-QUIET, MASS               frames without a neighbour that end an activity; frames with one that open it
-SETTLE, FIRM              how long after its opening an activity's start is sought; and is decided at the latest
-BAND_LEAST, BAND_MOST     bounds of the band around the diagonal
-EVERY                     frames between two choices of the radius while nothing is open
-REST                      frames in which nothing moves, after which a rest is one
-FIXED                     whether the radius is given
-NEXT, SINCE               number of the next frame; of the first since the start or a gap
-SEED                      first frame after the last activity: neighbours are not looked for before it
-UNTOLD, UNTOLD_AT         first frame that is part of no activity told, and its stamp
-BAND                      frames less far away are no neighbours
-RADIUS_AT                 when the radius is chosen next
-ROWS                      of the newest LAG frames, how many have a neighbour
-OPEN, OPENED, LAST        whether an activity is open, since when; the last frame with a neighbour
-BEGUN, TOLD               whether its start has been sought; whether it is decided, and told
-RETURNED                  whether the activity has been seen to come back to itself after it had left
-REPEATED                  until which frame activities count that do not come back: a window after the last repetition
-START, START_AT           the start and its stamp
-ACTIVITY                  number of the next activity
-MODE                      SEARCH or TRACK
-ORIGIN, DONE              where the search for a cycle begins; the last frame worked through
-SLOT, LENGTH              which exemplar is tracked, and its length
-FREE                      no path starts before this frame
-BEST_START, BEST_END      the best path not yet accepted; -1: none
-COUNT                     repetitions of the open activity, accepted
-PENDING, FROM, TO         whether a repetition waits for its end; its path
-PIECES_FROM, PIECES_AT    first frame of the activity not yet told as a primitive, and its stamp
-TOLD_TO                   stamp of the frame before that
-CYCLES                    repetitions of the open activity, told
-BOUT, BOUT_COUNT          bouts of the open activity that were reported; repetitions in the one under way
-BOUT_AT, BOUT_TO          its first repetition's onset and its last one's end, stamps
-CLUSTER, NEXT_CLUSTER     cluster of the pending repetition; number of the next new one
-CLOCK, TURN               counts uses of exemplars; whose turn it is to be compared
-EVENTS, NOW               rows written to the table of events; the stamp of what is decided now
-PRESENT                   features that have been known within the newest WINDOW frames
-PATCHY                    the last frame in which a feature was not known
-RECENT                    frames seen since the start or a gap, those at rest included
-RESTED                    frames left out by the rest under way; 0: there is none
-REST_FROM, REST_TO        stamps of its first and newest frame
-PEAK_AT                   when it is judged again how much the liveliest frames move
-BELIEVED, BELIEVED_OF     the count told last, and of which activity
-NOTICED                   the first frame that had come back when the open activity was noticed
-GROWN                     whether repetitions are believed that begin where the open activity was grown back to
-FORESEEN                  the last frame of the newest repetition that is believed before its activity has a cycle
-AHEAD                     repetitions believed of the activity after the open one
-LIKE                      repetitions told since the exemplar was taken up
-TRANSITION                frames between two activities, at the most, that are divided between them
-RESUMED                   the first frame after the last rest that was longer, or after nothing was known for longer
-HELD                      whether an activity has ended whose end is decided with the next one's start
-HELD_FIRST, HELD_LAST     its first and last frame, as far as it is known; HELD_AT, HELD_TO: their stamps
-HELD_CYCLES, HELD_CLUSTER its repetitions and cluster; HELD_HOW: the last number of its event
-KEPT                      frames of exemplars entered so far, those moved on counted again
-OUTINGS                   excursions of the open activity, told as repetitions beside its cycles
-STOOD                     whether a rest has been told since the start or a gap
-BACK                      excursions that are believed, of what nothing final covers
-BACK_FROM, BACK_TO        the newest one's first and last frame
-UNSEEN                    frames in a row, up to the newest, of which nothing was known
-PERIOD                    nominal time from one frame to the next, in ns
-"""
-SEARCH, TRACK = 0, 1
-(
-    RADIUS, BEST, FACTOR, PRICE, MOVED, PEAK, STILL_SHARE, TRAVEL_SHARE, FARTHEST, PRICES, HELD_CERTAINTY, HELD_RADIUS,
-    EARLY_RADIUS,
-) = range(13)  # fmt: skip
-"""Places in `values`: the radius, the best path's mean distance, the radius as a share of the median distance, the
-pending repetition's mean distance, how much the newest frame moves, and the window's liveliest ones; STILL and TRAVELS; how far those
-that are counted in LIKE lie from their exemplar at the most; how far the open activity's repetitions lie from theirs, added up;
-how certain those of the activity are whose end is held, and its radius; the radius before LEARN."""
+
+class Numbers:
+    """The numbers of a segmentation: attributes of `Memory` in kernels and from Python. Frames go by their number; _at, _to: stamps, in ns.
+
+    Where nothing else is stated, a number counts frames.
+    """
+
+    max_lag: int  # longest cycle, and how far back neighbours are looked for
+    window: int  # frames that the radius is taken from
+    learn: int  # how many of them there must be
+    quiet: int  # so many without a neighbour end an activity
+    mass: int  # so many with one open it
+    settle: int  # how long after its opening an activity's start is sought
+    firm: int  # how long after its opening its start is decided at the latest
+    min_band: int  # bounds of the band around the diagonal
+    max_band: int
+    every: int  # between two choices of the radius while nothing is open
+    rest: int  # so many in which nothing moves are a rest
+    transition: int  # between two activities, at the most, that are divided between them
+    is_radius_fixed: bool  # whether the radius is given
+    period_ns: int  # nominal time from one frame to the next
+
+    next_frame: int  # number of the next frame
+    since: int  # the first frame since the start or a gap
+    now: int  # the stamp of what is decided now
+    event_count: int  # rows written to the table of events
+    present: int  # features that have been known within the newest window
+    patchy: int  # the last frame in which a feature was not known
+
+    radius: float
+    radius_share: float  # the radius as a share of the median distance
+    early_radius: float  # the radius before `learn`
+    radius_due: int  # when the radius is chosen next
+    band: int  # frames less far away are no neighbours
+    near_count: int  # of the newest `max_lag` frames, how many have a neighbour
+    seed: int  # first frame after the last activity: neighbours are not looked for before it
+    unreported: int  # first frame that is part of no reported activity
+    unreported_at: int
+
+    activity: int  # number of the next activity
+    is_open: bool  # whether an activity is open
+    opened: int  # since when
+    last: int  # the last frame with a neighbour
+    noticed: int  # the first frame that had come back when the open activity was noticed
+    is_begun: bool  # whether its start has been sought
+    is_start_final: bool  # whether its start is decided and reported
+    start: int
+    start_at: int
+    has_returned: bool  # whether it has been seen to come back to itself after it had left
+    repeated_until: int  # until then activities count that do not come back: a window after the last repetition
+
+    is_tracking: bool  # whether the open activity's cycle is known and followed; else it is searched for
+    origin: int  # where the search for a cycle begins
+    done: int  # the last frame worked through
+    slot: int  # which exemplar is followed
+    length: int  # its length
+    free: int  # no path starts before this frame
+    best: float  # the mean distance of the best path not yet accepted
+    best_start: int  # its first and last frame; -1: there is no such path
+    best_end: int
+
+    count: int  # repetitions of the open activity that are accepted
+    is_pending: bool  # whether a repetition waits for its end
+    pending_from: int  # its path
+    pending_to: int
+    price: float  # its mean distance
+    cycles: int  # repetitions of the open activity that are reported
+    prices: float  # how far they lie from their exemplars, added up
+    outings: int  # excursions of the open activity that are reported as repetitions beside its cycles
+    pieces_from: int  # first frame of the activity that is not yet reported as a primitive
+    pieces_at: int
+    reported_to: int  # stamp of the frame before that
+    like_count: int  # repetitions reported since the exemplar was taken up
+    farthest: float  # how far they lie from it at the most
+
+    bout: int  # bouts of the open activity that are reported
+    bout_count: int  # repetitions in the one under way
+    bout_at: int  # stamps of its first repetition's onset and of its last one's end
+    bout_to: int
+
+    cluster: int  # of the pending repetition
+    next_cluster: int  # number of the next new one
+    clock: int  # counts uses of exemplars
+    turn: int  # the exemplar that is compared next
+    kept: int  # frames of exemplars entered so far, those moved on counted again
+    travel_share: float  # see TRAVELS
+
+    is_held: bool  # whether an activity has ended and its end is decided with the next one's start
+    held_first: int  # its first and last frame, as far as it is known, and their stamps
+    held_last: int
+    held_at: int
+    held_to: int
+    held_cycles: int  # its repetitions
+    held_cluster: int
+    held_how: int  # the last number of its event
+    held_certainty: float
+    held_radius: float
+
+    believed: int  # the count reported last
+    believed_of: int  # and of which activity
+    is_grown: bool  # whether repetitions are believed that begin where the open activity was grown back to
+    foreseen: int  # the last frame of the newest repetition that is believed before its activity has a cycle
+    ahead: int  # repetitions believed of the activity after the open one
+    back: int  # excursions that are believed, of what nothing final covers
+    back_from: int  # the newest one's first and last frame
+    back_to: int
+
+    recent_count: int  # frames seen since the start or a gap, those at rest included
+    moved: float  # how much the newest frame moves
+    peak: float  # how much the window's liveliest frames move
+    peak_due: int  # when that is judged again
+    still_share: float  # see STILL
+    rested: int  # frames left out by the rest under way; 0: there is none
+    rest_from: int  # stamps of its first and newest frame
+    rest_to: int
+    has_rested: bool  # whether a rest has been reported since the start or a gap
+    resumed: int  # the first frame after the last longer rest, or after nothing was known for longer
+    unseen: int  # in a row, up to the newest, of which nothing was known
+
+
+NUMBERS = numbers_of(Numbers)
 
 STILL = 0.12
 """Who has moved less than this share of what the window's liveliest frames do, is at rest."""
@@ -118,9 +149,6 @@ TRAVELS = 0.5
 EVENT_WIDTH = 8
 """A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
 
-NUMBER, SIZE, USED, AT, WHOLE = range(5)
-"""Columns of `clusters`."""
-
 MOST_CLUSTERS = 256
 LONGEST_EXEMPLARS = 24
 """At most MOST_CLUSTERS exemplars are kept, and no more of their frames than LONGEST_EXEMPLARS of LAG frames have."""
@@ -130,38 +158,40 @@ RING = 32
 NEVER_KNOWN = -(1 << 60)
 
 
-class Memory(NamedTuple):
-    """The arrays that kernels work on.
+@dataclass
+class Remembered(Numbers):
+    """The arrays that are remembered from one call to the next.
 
-    frames     (features, 2 ring)  frames by number modulo ring, twice, so that any `ring` in a row stand side by side; NaN: not known
+    numbers    ()                  see `Numbers`
+    frames     (features, 2 ring)  frames by number modulo ring, twice, so that any `ring` in a row are side by side; NaN: not known
     known      (features,)         the last frame in which each feature was known
-    common     (LAG + 1,)          how many features both frames of a distance have
+    common     (max_lag + 1,)      how many features both frames of a distance have
     times      (ring,)             their stamps
-    rows       (rows, LAG + 1)     distance of a frame to the one 1, 2, ... LAG before it, by number modulo `rows`
+    rows       (rows, max_lag + 1) distance of a frame to the one 1, 2, ... max_lag before it, by number modulo `rows`
     near       (rows,)             whether a frame has a neighbour;  2: it was bad, and never has
-    sums       (rows, LAG + 1)     of a frame's distances at each lag and all before it since ORIGIN
-    cost       (2, LAG + 1)        of the best path that ends at each column of the exemplar, of the frame before and of this one
-    begin      (2, LAG + 1)        the frame where that path starts
-    scratch    (LAG + 1,)          distances of a frame to the exemplar's
-    exemplars  (features, RING LAG)  frames of exemplars, by the number with which they were entered, modulo the ring
-    owners     (RING LAG,)         the cluster of each, unless it has left since or was moved on
+    sums       (rows, max_lag + 1) of a frame's distances at each lag and all before it since `origin`
+    cost       (2, max_lag + 1)    of the best path that ends at each column of the exemplar, of the frame before and of this one
+    begin      (2, max_lag + 1)    the frame where that path starts
+    scratch    (max_lag + 1,)      distances of a frame to the exemplar's
+    exemplars  (features, RING max_lag)  frames of exemplars, by the number with which they were entered, modulo the ring
+    owners     (RING max_lag,)     the slot of each, unless it has left since or was moved on
     lookup, lookup_books           these frames in an index: the two arrays of operators/neighbours
-    clusters   (clusters, 5)       number (-1: free), length, last use; the number of its first frame; whether all its features are known
-    mirrored   (ring, features)    mirror images of frames, by number modulo ring; NaN: not known. (0, features) where there are none
+    cluster_numbers  (slots,)      by slot: the cluster's number; -1: free
+    exemplar_sizes, _uses, _starts, _whole  (slots,)  its exemplar's length, last use, the number of its first frame, whether all its
+                                   features are known
+    mirrored   (ring, features)    mirror images of frames, by number modulo ring; NaN: not known. (0, features) where there are no images
     firsts     (features,)         1: the first of a pair that changes places in the mirror
-    leads      (clusters,)         how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
-    recent     (REST, features)    the newest frames as they came, by RECENT modulo REST, and their stamps recent_at (REST,)
-    steps      (REST,)             mean square of how much each of them differs from the one before it; NaN: nothing is known of both
+    leads      (slots,)            how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
+    recent     (rest, features)    the newest frames as they came, by `recent_count` modulo `rest`, and their stamps recent_at (rest,)
+    steps      (rest,)             mean square of how much each of them differs from the one before it; NaN: nothing is known of both
     moves      (ring,)             how much each frame moves: see `moved` in rest.py; negative: in a rest that was reported
-    travels    (clusters,)         how far the exemplars move, from stride to stride
+    travels    (slots,)            how far the exemplars move, from stride to stride
     kinds      (4,)                repetitions of the open activity by their symmetry
     counted    (8,)                the count reported last, by activity modulo 8, until that is final
     spans      (64, 4)             what was reported last of a repetition: activity, number, onset and end
-    books, values                  the numbers named above
-    events     (m, EVENT_WIDTH)    what a call leads to; ratings (m,): of a radius its value, of all else how certain the open
-                                   activity's repetitions are. Not part of the state
     """
 
+    numbers: Array
     frames: Samples
     known: Times
     common: Samples
@@ -176,7 +206,11 @@ class Memory(NamedTuple):
     owners: Times
     lookup: Floats
     lookup_books: Times
-    clusters: Times
+    cluster_numbers: Times
+    exemplar_sizes: Times
+    exemplar_uses: Times
+    exemplar_starts: Times
+    exemplar_whole: Array
     mirrored: Samples
     firsts: Times
     leads: Samples
@@ -188,56 +222,42 @@ class Memory(NamedTuple):
     kinds: Times
     counted: Times
     spans: Times
-    books: Times
-    values: Samples
-    events: Times
-    ratings: Samples
-
-
-class Remembered:
-    """`Memory` as a state: a slotted dataclass of the same arrays by the same names, without the tables that are no part of it."""
-
-    __slots__ = ()
-    known: Times
-    books: Times
 
     def with_room(self, rows: int) -> Memory:
         """The arrays, and a table with room for `rows` events."""
-        kept = [getattr(self, name) for name in REMEMBERED]
-        return Memory(*kept, *[np.empty((rows, EVENT_WIDTH), np.int64), np.empty(rows)])
+        events: Array = np.empty((rows, EVENT_WIDTH), np.int64)
+        return Memory(*(*_ARRAYS(self), events, np.empty(rows)))
 
-    def told(self, memory: Memory) -> tuple[Times, Samples]:
+
+_ARRAYS = attrgetter(*(field.name for field in fields(Remembered)))
+
+
+@record
+@dataclass
+class Memory(Remembered):
+    """What kernels work on: what is remembered, and what a call leads to.
+
+    events     (m, EVENT_WIDTH)    rows; ratings (m,): of a radius its value, of all else how certain the open activity's repetitions are
+    """
+
+    events: Times
+    ratings: Samples
+
+    def reported(self) -> tuple[Times, Samples]:
         """The events that the last call wrote, and their ratings."""
-        made = int(self.books[EVENTS])
-        return memory.events[:made], memory.ratings[:made]
-
-
-REMEMBERED = [name for name in Memory._fields if name not in ("events", "ratings")]
-_MemoryState = make_dataclass("_MemoryState", [(name, Array) for name in REMEMBERED], bases=(Remembered,), slots=True)
+        return self.events[: self.event_count], self.ratings[: self.event_count]
 
 
 def allocate(
-    width: int, frames: dict[str, int], radius: float | None, factor: float, firsts: Times | None = None
+    width: int, frames: dict[str, int], radius: float | None, radius_share: float, firsts: Times | None = None
 ) -> Remembered:
-    """Nothing seen yet. `frames`: the numbers LAG to REST, by name. `firsts`: where frames have a mirror image."""
-    lag = frames["LAG"]
-    ring = max(frames["WINDOW"], 5 * lag + frames["FIRM"] + 64)
-    rows = 3 * lag + frames["FIRM"] + 64
-    books = np.zeros(len(NAMES), np.int64)
-    for name, value in frames.items():
-        books[NAMES.index(name)] = value
-    books[FIXED] = radius is not None
-    books[BAND] = frames["BAND_MOST"]
-    books[[BEST_START, BEST_END]] = -1
-    books[PATCHY] = NEVER_KNOWN
-    clusters = np.zeros((MOST_CLUSTERS, 5), np.int64)
-    clusters[:, NUMBER] = -1
+    """Nothing seen yet. `frames`: the numbers `max_lag` to `period_ns`, by name. `firsts`: where frames have a mirror image."""
+    lag = frames["max_lag"]
+    ring = max(frames["window"], 5 * lag + frames["firm"] + 64)
+    rows = 3 * lag + frames["firm"] + 64
     index = index_of(width, RING * lag, 0)
-    values = np.zeros(EARLY_RADIUS + 1)
-    values[[BEST, PRICE]] = np.inf
-    values[[FACTOR, STILL_SHARE, TRAVEL_SHARE]] = factor, STILL, TRAVELS
-    values[RADIUS] = 0.0 if radius is None else radius
-    made: Remembered = _MemoryState(
+    made = Remembered(
+        numbers=np.zeros((), NUMBERS),
         frames=np.zeros((width, 2 * ring)),
         known=np.full(width, NEVER_KNOWN),
         common=np.zeros(lag + 1),
@@ -252,19 +272,28 @@ def allocate(
         owners=np.zeros(RING * lag, np.int64),
         lookup=index.floats,
         lookup_books=index.books,
-        clusters=clusters,
+        cluster_numbers=np.full(MOST_CLUSTERS, -1, np.int64),
+        exemplar_sizes=np.zeros(MOST_CLUSTERS, np.int64),
+        exemplar_uses=np.zeros(MOST_CLUSTERS, np.int64),
+        exemplar_starts=np.zeros(MOST_CLUSTERS, np.int64),
+        exemplar_whole=np.zeros(MOST_CLUSTERS, np.bool_),
         mirrored=np.full((0 if firsts is None else ring, width), np.nan),
         firsts=np.zeros(width, np.int64) if firsts is None else firsts,
         leads=np.zeros(MOST_CLUSTERS),
-        recent=np.full((frames["REST"], width), np.nan),
-        recent_at=np.zeros(frames["REST"], np.int64),
-        steps=np.full(frames["REST"], np.nan),
+        recent=np.full((frames["rest"], width), np.nan),
+        recent_at=np.zeros(frames["rest"], np.int64),
+        steps=np.full(frames["rest"], np.nan),
         moves=np.zeros(ring),
         travels=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),
         counted=np.zeros(8, np.int64),
         spans=np.full((64, 4), -1, np.int64),
-        books=books,
-        values=values,
     )
+    for name, value in frames.items():
+        setattr(made, name, value)
+    made.is_radius_fixed, made.radius, made.radius_share = radius is not None, radius or 0.0, radius_share
+    made.band, made.patchy = frames["max_band"], NEVER_KNOWN
+    made.best_start = made.best_end = -1
+    made.best = made.price = math.inf
+    made.still_share, made.travel_share = STILL, TRAVELS
     return made

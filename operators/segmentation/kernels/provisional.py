@@ -9,29 +9,6 @@ from kinegraph.operators.segmentation.kernels.cycles import FAR, TRUSTS, first_d
 from kinegraph.operators.segmentation.kernels.division import number_of
 from kinegraph.operators.segmentation.kernels.events import stamp
 from kinegraph.operators.segmentation.kernels.layout import (
-    ACTIVITY,
-    AHEAD,
-    BACK,
-    BACK_FROM,
-    BACK_TO,
-    BELIEVED,
-    BELIEVED_OF,
-    BEST_END,
-    BEST_START,
-    COUNT,
-    FORESEEN,
-    FROM,
-    GROWN,
-    LENGTH,
-    MASS,
-    MODE,
-    NOTICED,
-    ORIGIN,
-    PENDING,
-    RADIUS,
-    TO,
-    TOLD,
-    TRACK,
     Memory,
 )
 from kinegraph.stream.kernel import kernel
@@ -41,32 +18,29 @@ from kinegraph.stream.kernel import kernel
 def believe(s: Memory, activity: int, count: int) -> None:
     """This many repetitions have come in the activity, and none in the one of which that was believed until now, unless they were
     excursions in an earlier one."""
-    b = s.books
-    if b[BELIEVED_OF] != activity:
-        if b[BELIEVED] and not (b[BACK] and b[BELIEVED_OF] < activity):
-            tell_count(s, b[BELIEVED_OF], 0)
-        b[BELIEVED_OF] = activity
+    if s.believed_of != activity:
+        if s.believed and not (s.back and s.believed_of < activity):
+            tell_count(s, s.believed_of, 0)
+        s.believed_of = activity
     tell_count(s, activity, count)
-    b[BELIEVED] = count
+    s.believed = count
 
 
 @kernel
 def conclude(s: Memory, count: int) -> None:
     """The open activity has ended with `count` repetitions: the next one begins with none, or with those that are believed of it."""
-    b = s.books
-    if count or b[BELIEVED]:
-        believe(s, b[ACTIVITY] if count else b[BELIEVED_OF], count)
-    b[BELIEVED] = 0
-    if b[AHEAD]:
-        b[BELIEVED_OF], b[BELIEVED], b[AHEAD] = b[ACTIVITY] + 1, b[AHEAD], 0
+    if count or s.believed:
+        believe(s, s.activity if count else s.believed_of, count)
+    s.believed = 0
+    if s.ahead:
+        s.believed_of, s.believed, s.ahead = s.activity + 1, s.ahead, 0
 
 
 @kernel
 def give_up(s: Memory) -> None:
     """The open activity is none: of what is believed of it excursions remain, in a stretch."""
-    b = s.books
-    if b[BACK]:
-        believe(s, b[ACTIVITY], b[BACK])
+    if s.back:
+        believe(s, s.activity, s.back)
     else:
         conclude(s, 0)
 
@@ -74,47 +48,42 @@ def give_up(s: Memory) -> None:
 @kernel
 def is_last_return(s: Memory) -> bool:
     """Whether the best path is the newest excursion that is believed."""
-    b = s.books
-    return bool(b[BACK] and b[BEST_START] <= (b[BACK_FROM] + b[BACK_TO]) // 2)
+    return bool(s.back and s.best_start <= (s.back_from + s.back_to) // 2)
 
 
 @kernel
 def keep_count(s: Memory) -> None:
     """The repetitions of the activity that is followed: those accepted, excursions, and the best path, unless it replaces the last one."""
-    b = s.books
-    if b[MODE] == TRACK:
-        believe_open(s, b[COUNT] + b[BACK] + (b[BEST_END] >= 0 and not replaces(s)))
+    if s.is_tracking:
+        believe_open(s, s.count + s.back + (s.best_end >= 0 and not replaces(s)))
 
 
 @kernel
 def believe_open(s: Memory, count: int) -> None:
     """This many repetitions have come in the open activity; if that is one more, what was believed of the next activity was wrong."""
-    b = s.books
-    if b[AHEAD] and count > b[BELIEVED]:
-        tell_count(s, b[ACTIVITY] + 1, 0)
-        b[AHEAD] = 0
-    believe(s, b[ACTIVITY], count)
+    if s.ahead and count > s.believed:
+        tell_count(s, s.activity + 1, 0)
+        s.ahead = 0
+    believe(s, s.activity, count)
 
 
 @kernel
 def expect(s: Memory, i: int) -> None:
     """Frame `i` after the open activity's cycle was given up: where that comes again it is believed, though not yet followed."""
-    b = s.books
-    fresh = b[BEST_END]
+    fresh = s.best_end
     if track(s, i):
         release(s)
-    elif fresh < 0 and b[BEST_END] >= 0:
-        number = b[BELIEVED] + (not is_last_return(s))
-        tell_span(s, stamp(s, b[BEST_START]), stamp(s, b[BEST_END]), b[ACTIVITY], number)
+    elif fresh < 0 and s.best_end >= 0:
+        number = s.believed + (not is_last_return(s))
+        tell_span(s, stamp(s, s.best_start), stamp(s, s.best_end), s.activity, number)
         believe_open(s, number)
-        b[FORESEEN] = max(b[FORESEEN], b[BEST_END])
+        s.foreseen = max(s.foreseen, s.best_end)
 
 
 @kernel
 def replaces(s: Memory) -> bool:
     """Whether the best path starts within half a cycle of the pending repetition: only one of the two is one."""
-    b = s.books
-    return bool(b[PENDING] and b[BEST_START] - b[FROM] < b[LENGTH] // 2)
+    return bool(s.is_pending and s.best_start - s.pending_from < s.length // 2)
 
 
 @kernel
@@ -123,21 +92,20 @@ def foresee(s: Memory, first: int, t: int, grown: bool) -> bool:
 
     `grown`: it has been grown back to `first`, which corrects what was believed from where it was noticed on.
     """
-    b = s.books
     length = cycle_by(s, first, t)
     if length:
         first = comes_back(s, first, t, length)
         activity = number_of(s, first)
-        if b[BELIEVED_OF] != activity or (grown and not b[GROWN]):
-            b[FORESEEN] = first - 1
-        b[GROWN] |= grown
+        if s.believed_of != activity or (grown and not s.is_grown):
+            s.foreseen = first - 1
+        s.is_grown |= grown
         count = (t - first + 1) // length
         for k in range(count):
             last = first + (k + 1) * length - 1
-            if last - b[FORESEEN] > length // 2:
+            if last - s.foreseen > length // 2:
                 tell_believed(s, last, length, activity, k + 1)
-                b[FORESEEN] = last
-        believe(s, activity, max(count, b[BELIEVED] if b[BELIEVED_OF] == activity else 0))
+                s.foreseen = last
+        believe(s, activity, max(count, s.believed if s.believed_of == activity else 0))
     return length > 0
 
 
@@ -145,20 +113,19 @@ def foresee(s: Memory, first: int, t: int, grown: bool) -> bool:
 def look_ahead(s: Memory, t: int) -> None:
     """The open activity's start has been sought. While its cycle is not found, what came back when it was noticed is believed; and when
     its cycle has not come again for longer than it lasts, what repeats since then is believed to be the next activity."""
-    b = s.books
-    if b[MODE] != TRACK:
-        if not b[TOLD]:
-            foresee(s, b[NOTICED], t, False)
+    if not s.is_tracking:
+        if not s.is_start_final:
+            foresee(s, s.noticed, t, False)
         return
-    first = max(b[TO] + 1, b[ORIGIN])
-    if not b[COUNT] or b[BEST_END] >= 0 or t - first < b[LENGTH]:
+    first = max(s.pending_to + 1, s.origin)
+    if not s.count or s.best_end >= 0 or t - first < s.length:
         return
     length = cycle_by(s, first, t)
     if length:
-        for k in range(b[AHEAD], (t - first + 1) // length):
-            tell_believed(s, first + (k + 1) * length - 1, length, b[ACTIVITY] + 1, k + 1)
-            tell_count(s, b[ACTIVITY] + 1, k + 1)
-            b[AHEAD] = k + 1
+        for k in range(s.ahead, (t - first + 1) // length):
+            tell_believed(s, first + (k + 1) * length - 1, length, s.activity + 1, k + 1)
+            tell_count(s, s.activity + 1, k + 1)
+            s.ahead = k + 1
 
 
 @kernel
@@ -166,11 +133,11 @@ def cycle_by(s: Memory, first: int, t: int) -> int:
     """The lag at which frames `first` to `t` come back to themselves; 0: they do not."""
     last = longest_lag(s, t - first + 1)
     for k in range(1, last + 1):
-        n = min(max(k, s.books[MASS]), t - first + 1 - k)
+        n = min(max(k, s.mass), t - first + 1 - k)
         total = 0.0
         for i in range(t - n + 1, t + 1):
             far = s.rows[i % s.rows.shape[0], k]
-            total += far if far < math.inf else FAR * s.values[RADIUS]
+            total += far if far < math.inf else FAR * s.radius
         s.scratch[k] = total / n
     return first_dip(s, last, False)[0]
 
@@ -183,8 +150,8 @@ def comes_back(s: Memory, first: int, t: int, length: int) -> int:
         total = 0.0
         for i in range(first + length, first + 2 * length):
             far = s.rows[i % s.rows.shape[0], length]
-            total += far if far < math.inf else FAR * s.values[RADIUS]
-        if total <= TRUSTS * length * s.values[RADIUS]:
+            total += far if far < math.inf else FAR * s.radius
+        if total <= TRUSTS * length * s.radius:
             break
         first += length
     return first

@@ -9,33 +9,9 @@ import numpy as np
 
 from kinegraph.operators.segmentation.kernels.events import tell
 from kinegraph.operators.segmentation.kernels.layout import (
-    BEST_END,
-    EVERY,
-    MASS,
-    MODE,
-    MOVED,
-    NEXT,
     NOISE,
-    OPEN,
-    PEAK,
-    PEAK_AT,
-    PENDING,
-    RECENT,
-    REST,
     REST_EVENT,
-    REST_FROM,
-    REST_TO,
-    RESTED,
     RESTING_EVENT,
-    RESUMED,
-    SINCE,
-    STILL_SHARE,
-    STOOD,
-    TO,
-    TRACK,
-    TRANSITION,
-    UNSEEN,
-    WINDOW,
     Memory,
 )
 from kinegraph.stream.chunk import Samples
@@ -49,79 +25,77 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
     Frames of the rest that were worked through, before it was known to be one, have a negative number in `moves` from then on. It begins
     with the first of them that lies behind the last rest, and behind the repetition that ended with it.
     """
-    b = s.books
-    s.values[MOVED] = moved(s, x)
-    b[RECENT] += 1
-    place = b[RECENT] % s.recent.shape[0]
+    s.moved = moved(s, x)
+    s.recent_count += 1
+    place = s.recent_count % s.recent.shape[0]
     oldest = s.recent_at[place]
-    s.recent[place], s.recent_at[place] = x, stamp
-    if b[RECENT] <= b[REST] or s.values[MOVED] >= s.values[STILL_SHARE] * s.values[PEAK]:
+    s.recent_at[place] = stamp
+    for d in range(x.shape[0]):
+        s.recent[place, d] = x[d]
+    if s.recent_count <= s.rest or s.moved >= s.still_share * s.peak:
         tell_rest(s)
         return False
-    if not b[RESTED]:
-        b[REST_FROM] = stamp
-        i, ended = b[NEXT] - 1, last_repeated(s)
+    if not s.rested:
+        s.rest_from = stamp
+        i, ended = s.next_frame - 1, last_repeated(s)
         while i > ended and s.times[i % s.times.shape[0]] >= oldest:
             s.moves[i % s.moves.shape[0]] = -abs(s.moves[i % s.moves.shape[0]])
-            if not b[STOOD] or s.times[i % s.times.shape[0]] > b[REST_TO]:
-                b[REST_FROM] = s.times[i % s.times.shape[0]]
+            if not s.has_rested or s.times[i % s.times.shape[0]] > s.rest_to:
+                s.rest_from = s.times[i % s.times.shape[0]]
             i -= 1
-        b[STOOD] = 1
-        tell(s, RESTING_EVENT, b[REST_FROM], 0, 0, 0, 0, 0)
-    b[RESTED] += 1
-    b[REST_TO] = stamp
+        s.has_rested = True
+        tell(s, RESTING_EVENT, s.rest_from, 0, 0, 0, 0, 0)
+    s.rested += 1
+    s.rest_to = stamp
     return True
 
 
 @kernel
 def last_repeated(s: Memory) -> int:
     """The last frame of the newest repetition of the open activity that is not final; the one before all frames, if there is none."""
-    b, last = s.books, s.books[SINCE] - 1
-    if b[OPEN] and b[PENDING]:
-        last = max(last, b[TO])
-    if b[OPEN] and b[MODE] == TRACK:
-        last = max(last, b[BEST_END])
+    last = s.since - 1
+    if s.is_open and s.is_pending:
+        last = max(last, s.pending_to)
+    if s.is_open and s.is_tracking:
+        last = max(last, s.best_end)
     return int(last)
 
 
 @kernel
 def unseen(s: Memory, x: Samples) -> bool:
-    """Whether nothing of frame `x` (features,) is known, nor was of the REST frames before it, or ever: so it is not worked through."""
-    b = s.books
+    """Whether nothing of frame `x` (features,) is known, nor was of the `rest` frames before it, or ever: so it is not worked through."""
     for d in range(x.shape[0]):
         if math.isfinite(x[d]):
-            if b[UNSEEN] > b[REST] + b[TRANSITION]:
-                b[RESUMED] = b[NEXT]
-            b[UNSEEN] = 0
+            if s.unseen > s.rest + s.transition:
+                s.resumed = s.next_frame
+            s.unseen = 0
             return False
-    b[UNSEEN] += 1
-    return bool(b[NEXT] == b[SINCE] or b[UNSEEN] > b[REST])
+    s.unseen += 1
+    return bool(s.next_frame == s.since or s.unseen > s.rest)
 
 
 @kernel
 def tell_rest(s: Memory) -> None:
     """A rest, if there was one, is over."""
-    b = s.books
-    if b[RESTED]:
-        tell(s, REST_EVENT, b[REST_FROM], b[REST_TO], 0, 0, 0, 0)
-        if b[RESTED] > b[TRANSITION]:
-            b[RESUMED] = b[NEXT]
-        b[RESTED] = 0
+    if s.rested:
+        tell(s, REST_EVENT, s.rest_from, s.rest_to, 0, 0, 0, 0)
+        if s.rested > s.transition:
+            s.resumed = s.next_frame
+        s.rested = 0
 
 
 @kernel
 def moved(s: Memory, x: Samples) -> float:
-    """Mean distance of frame `x` to those of the last REST frames, rests included, less what they differ by from one to the next: that is
-    noise, and no motion where it adds up to nothing (asked from half of REST on). Where less than half of them are known, as of the one
+    """Mean distance of frame `x` to those of the last `rest` frames, rests included, less what they differ by from one to the next: that is
+    noise, and no motion where it adds up to nothing (asked from half of `rest` on). Where less than half of them are known, as of the one
     before."""
-    b = s.books
-    if not b[RECENT]:
+    if not s.recent_count:
         return 0.0
     total, count, steps, pairs = 0.0, 0, 0.0, 0
-    frames, ring = min(b[REST], b[RECENT]), s.recent.shape[0]
-    s.steps[(b[RECENT] + 1) % ring] = mean_square(x, s.recent[b[RECENT] % ring])
+    frames, ring = min(s.rest, s.recent_count), s.recent.shape[0]
+    s.steps[(s.recent_count + 1) % ring] = mean_square(x, s.recent[s.recent_count % ring])
     for k in range(frames):
-        apart, step = mean_square(x, s.recent[(b[RECENT] - k) % ring]), s.steps[(b[RECENT] + 1 - k) % ring]
+        apart, step = mean_square(x, s.recent[(s.recent_count - k) % ring]), s.steps[(s.recent_count + 1 - k) % ring]
         if apart == apart:
             total += math.sqrt(apart)
             count += 1
@@ -129,10 +103,10 @@ def moved(s: Memory, x: Samples) -> float:
             steps += step
             pairs += 1
     if not count or 2 * count < frames:
-        before: float = s.values[MOVED]
+        before: float = s.moved
         return before
-    mean, noise = total / count, NOISE * steps / pairs if pairs and 2 * frames >= b[REST] else 0.0
-    least = s.values[STILL_SHARE] * s.values[STILL_SHARE] * noise
+    mean, noise = total / count, NOISE * steps / pairs if pairs and 2 * frames >= s.rest else 0.0
+    least = s.still_share * s.still_share * noise
     return math.sqrt(max(least, mean * mean - noise))
 
 
@@ -150,22 +124,21 @@ def mean_square(x: Samples, y: Samples) -> float:
 
 @kernel
 def choose_peak(s: Memory, t: int) -> None:
-    """How much the liveliest frames of the window move: those worth MASS do no less."""
-    b = s.books
-    if t < b[PEAK_AT]:
+    """How much the liveliest frames of the window move: those worth `mass` do no less."""
+    if t < s.peak_due:
         return
-    b[PEAK_AT] = t + b[EVERY]
-    first = max(b[SINCE], t - b[WINDOW] + 1)
+    s.peak_due = t + s.every
+    first = max(s.since, t - s.window + 1)
     n = t - first + 1
-    if n < b[MASS]:
-        s.values[PEAK] = 0.0
+    if n < s.mass:
+        s.peak = 0.0
         return
     found = np.empty(n)
     for i in range(n):
         found[i] = abs(s.moves[(first + i) % s.moves.shape[0]])
     found.sort()
-    s.values[PEAK] = found[n - b[MASS]]
-    if not b[STOOD]:
+    s.peak = found[n - s.mass]
+    if not s.has_rested:
         tell_first_rest(s, first, t)
 
 
@@ -173,19 +146,19 @@ def choose_peak(s: Memory, t: int) -> None:
 def tell_first_rest(s: Memory, first: int, t: int) -> None:
     """Who stood still before anything moved rested, which can only be known now, by what the motion is like.
 
-    It must have gone on for MASS at the least, and at the most until MASS frames of it have been looked at that no rest is averaged into.
+    It must have lasted for `mass` at the least, and at the most until `mass` of its frames have been seen without a rest in their mean.
     Stillness that does not reach back to the first frame is judged then: by the motion's first frames alone, which move little, noise may
     look like motion.
     """
-    b, begins = s.books, t + 1
+    begins = t + 1
     while begins > first and not at_rest(s, begins - 1):
         begins -= 1
     onset = begins
     while onset > first and at_rest(s, onset - 1):
         onset -= 1
-    least = b[MASS] if onset == first else b[REST] + b[MASS] + b[EVERY]
-    if begins - onset > b[REST] and least <= t + 1 - begins <= b[REST] + b[MASS] + 2 * b[EVERY]:
-        b[STOOD] = 1
+    least = s.mass if onset == first else s.rest + s.mass + s.every
+    if begins - onset > s.rest and least <= t + 1 - begins <= s.rest + s.mass + 2 * s.every:
+        s.has_rested = True
         for i in range(onset, begins):
             s.moves[i % s.moves.shape[0]] = -abs(s.moves[i % s.moves.shape[0]])
         tell(s, REST_EVENT, s.times[onset % s.times.shape[0]], s.times[(begins - 1) % s.times.shape[0]], 0, 0, 0, 0)
@@ -194,7 +167,7 @@ def tell_first_rest(s: Memory, first: int, t: int) -> None:
 @kernel
 def at_rest(s: Memory, i: int) -> bool:
     """Whether frame `i`, which was worked through, would be left out by what is known of the motion now."""
-    return bool(abs(s.moves[i % s.moves.shape[0]]) < s.values[STILL_SHARE] * s.values[PEAK])
+    return bool(abs(s.moves[i % s.moves.shape[0]]) < s.still_share * s.peak)
 
 
 @kernel

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kinegraph.operators.segmentation.kernels.layout import BAND, FIRM, LAG, MASS, NEXT, Memory
+from kinegraph.operators.segmentation.kernels.layout import Memory
 from kinegraph.stream.chunk import Samples, Times
 from kinegraph.stream.kernel import kernel
 
@@ -16,9 +16,8 @@ SMALLER = 0.8
 
 @kernel
 def gaps(s: Memory, first: int, stop: int, radius: float) -> Times:
-    """Where frames first..stop-1, of these the newest 3 LAG at the most, fall into several: the first frames of all parts but the first."""
-    b = s.books
-    first = max(first, stop - 3 * b[LAG], b[NEXT] - 3 * b[LAG] - b[FIRM])
+    """Where frames first..stop-1 (the newest 3 `max_lag` at the most) fall into several: the first frames of all parts but the first."""
+    first = max(first, stop - 3 * s.max_lag, s.next_frame - 3 * s.max_lag - s.firm)
     if first >= stop:
         return np.empty(0, np.int64)
     found, stops, m, n = np.empty(stop - first + 2, np.int64), np.empty(stop - first + 2, np.int64), 0, 1
@@ -43,8 +42,7 @@ def gap(s: Memory, first: int, stop: int, radius: float) -> int:
 
     The widest gap at which they do so, if several: in the middle of the frames across which the nearest neighbours are the same.
     """
-    b = s.books
-    least, most = first + b[MASS], stop - b[MASS]
+    least, most = first + s.mass, stop - s.mass
     if most < least:
         return -1
     across = nearest_across(s, first, stop)
@@ -68,15 +66,14 @@ def gap(s: Memory, first: int, stop: int, radius: float) -> int:
 
 @kernel
 def nearest_across(s: Memory, first: int, stop: int) -> Samples:
-    """By frame, from `first` on: the least distance of a frame before it to one from it on, within LAG and outside of the band."""
-    b = s.books
+    """By frame, from `first` on: the least distance of a frame before it to one from it on, within `max_lag` and outside of the band."""
     across = np.full(stop - first, math.inf)
     for i in range(first, stop):
         if not known(s, i):
             continue
         least = math.inf
-        for c in range(min(stop - 1, i + b[LAG]), i, -1):
-            if c - i >= b[BAND] and known(s, c):
+        for c in range(min(stop - 1, i + s.max_lag), i, -1):
+            if c - i >= s.band and known(s, c):
                 least = min(least, s.rows[c % s.rows.shape[0], c - i])
             across[c - first] = min(across[c - first], least)
     return across
@@ -91,15 +88,15 @@ def known(s: Memory, i: int) -> bool:
 @kernel
 def has_mass(s: Memory, first: int, stop: int, near: float) -> bool:
     """Whether, of the frames first..stop-1, as many as open an activity have a neighbour among them nearer than `near`."""
-    b, found = s.books, 0
+    found = 0
     for i in range(first, stop):
         if not known(s, i):
             continue
-        for k in range(b[BAND], b[LAG] + 1):
+        for k in range(s.band, s.max_lag + 1):
             before = i - k >= first and known(s, i - k) and s.rows[i % s.rows.shape[0], k] < near
             if before or (i + k < stop and known(s, i + k) and s.rows[(i + k) % s.rows.shape[0], k] < near):
                 found += 1
                 break
-        if found >= b[MASS]:
+        if found >= s.mass:
             return True
     return False

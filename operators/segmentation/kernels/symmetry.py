@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from kinegraph.operators.segmentation.kernels.cycles import TRUSTS
-from kinegraph.operators.segmentation.kernels.layout import RADIUS, Memory
+from kinegraph.operators.segmentation.kernels.layout import Memory
 from kinegraph.stream.kernel import kernel
 
 UNKNOWN, AT_ONCE, IN_TURN, NOT = range(4)
@@ -24,7 +22,7 @@ def symmetry(s: Memory, slot: int, first: int, stop: int) -> tuple[int, int]:
     """
     if not s.mirrored.shape[0]:
         return UNKNOWN, -1
-    at_once, radius = to_mirror(s, first, stop), s.values[RADIUS]
+    at_once, radius = to_mirror(s, first, stop), s.radius
     if math.isnan(at_once):
         return UNKNOWN, -1
     half = second_step(s, first, stop)
@@ -91,7 +89,9 @@ def moves(s: Memory, first: int, stop: int) -> float:
     """How much more the first of each pair moves than the second in frames first..stop-1: squared steps, summed."""
     ring, total = s.times.shape[0], 0.0
     for i in range(first, stop):
-        for d in np.flatnonzero(s.firsts):
+        for d in range(s.firsts.shape[0]):
+            if not s.firsts[d]:
+                continue
             own = s.frames[d, i % ring] - s.frames[d, (i - 1) % ring]
             other = s.mirrored[i % ring, d] - s.mirrored[(i - 1) % ring, d]
             more = own * own - other * other
