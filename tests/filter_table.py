@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,7 @@ from kinegraph.stream.graph.components import catalogue
 from kinegraph.stream.operator import Operator
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "method" / "filters.md"
-HEAD = "| operator | what it does | parameters | delay | equal to, or source |\n|---|---|---|---|---|\n"
-USUAL = {"reset_gap_s": 0.1}
-"""What most have; told where it differs."""
+HEAD = "| operator | what it does | delay | equal to, or source |\n|---|---|---|---|\n"
 
 
 def table() -> str:
@@ -28,21 +25,8 @@ def table() -> str:
 
 def _row(name: str, part: type[Operator[Any]]) -> str:
     text = " ".join((part.__doc__ or "").split("\n\n")[0].split())
-    cells = (f"`{name}`", re.split(r"\.(?= [A-Z]|$)", text)[0], _parameters(part), part.delays, part.references)
+    cells = (f"`{name}`", re.split(r"\.(?= [A-Z]|$)", text)[0], part.delays, part.references)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
-
-
-def _parameters(part: type[Operator[Any]]) -> str:
-    rows = []
-    for f in fields(part):  # type: ignore[arg-type]
-        if f.name not in USUAL or f.default != USUAL[f.name]:
-            default = "" if f.default in (MISSING, None, (), "") else f" {_plain(f.default)}"
-            rows.append(f"`{f.name}`{default}")
-    return ", ".join(rows)
-
-
-def _plain(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def page(text: str) -> str:

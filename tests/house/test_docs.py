@@ -107,7 +107,7 @@ def test_the_pages_for_users_are_short() -> None:
     """Records of the laboratory (docs/lab) may be as long as they like."""
     assert word_count(HOUSE / "README.md") <= 600
     assert {page.name: word_count(page) for page in USER_PAGES if word_count(page) > 2500} == {}
-    assert sum(map(word_count, USER_PAGES)) <= 50_800
+    assert sum(map(word_count, USER_PAGES)) <= 45_000
 
 
 def test_no_page_for_users_holds_a_long_table_of_measurements() -> None:
