@@ -73,9 +73,7 @@ class KernelDispatcher(CPUDispatcher):
     def get_call_template(self, args: Any, kws: Any) -> Any:
         if self._callee is None:
             self._callee = _Callee(self.py_func, self.targetoptions)
-        plain = [
-            _unliteral(arg) for arg in args
-        ]  # numba would make another one for every number that stands in a call
+        plain = [_unliteral(arg) for arg in args]  # numba would make another one for every number that stands in a call
         return self._callee.get_call_template(plain, {name: _unliteral(arg) for name, arg in kws.items()})
 
     def get_overload(self, args: Any) -> Any:
