@@ -7,15 +7,28 @@ others is optimised ten times, and so on below each of these. Only what Python c
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, cast
 
 from numba.core import compiler, dispatcher, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
+from numba.core.typing.templates import builtin_registry
 
 _FunctionCompiler: Any = dispatcher._FunctionCompiler  # type: ignore[attr-defined]
 _numba: Any = compiler
 _unliteral: Any = types.unliteral
+
+
+@cache
+def _shorten_errors() -> None:
+    """Leave out the shapes in the error of a slice that does not fit: numba compiles two seconds of text functions for it."""
+    from numba.np import arrayobj
+
+    long = getattr(arrayobj, "ol_raise_with_shape_context_cpu", None)
+    for template in builtin_registry.functions:
+        if long is not None and getattr(template, "_overload_func", None) is long:
+            template._overload_func = staticmethod(lambda *_: None)
 
 
 class _Library(JITCodeLibrary):
@@ -51,6 +64,12 @@ class _Compiler(_FunctionCompiler):  # type: ignore[misc]
         return made
 
 
+class _RootCompiler(_FunctionCompiler):  # type: ignore[misc]
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        _shorten_errors()
+        return super()._compile_core(args, return_type)
+
+
 class _Callee(CPUDispatcher):
     """A kernel as other kernels call it. It has no address, so its description is what numba knows it by."""
 
@@ -69,6 +88,10 @@ class KernelDispatcher(CPUDispatcher):
     """A kernel as Python calls it; kernels call its `_Callee`."""
 
     _callee: Any = None
+
+    def __init__(self, function: Callable[..., Any], locals: dict[str, Any], options: dict[str, Any]) -> None:
+        super().__init__(function, locals, options)
+        self._compiler = _RootCompiler(function, self.targetdescr, options, locals, compiler.Compiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         if self._callee is None:
