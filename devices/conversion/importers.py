@@ -84,25 +84,25 @@ def _tables(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[
 def _by_default(files: Sequence[Path], table: ColumnTable, options: ImportOptions) -> None:
     """One stream for each CSV file, named like it, of all columns but the time."""
     for file in files:
+
+        def own(name: str, prefix: str = f"{file.stem}:") -> str:
+            return name.removeprefix(prefix)
+
         mine = [n for n in table.columns if n.startswith(f"{file.stem}:")]
         if file.suffix.lower() == ".npz":
-            listed = ", ".join(f"{n.partition(':')[2]} {table.columns[n].data.shape}" for n in mine)
+            listed = ", ".join(f"{own(n)} {table.columns[n].data.shape}" for n in mine)
             raise RecordingError(f"{file}: say which arrays are streams, with --stream NAME=ARRAY; there are {listed}")
-        time = options.of(options.time, file.stem) or next(
-            (n for n in mine if n.partition(":")[2].lower() in TIMES), ""
-        )
+        time = options.of(options.time, file.stem) or next((n for n in mine if own(n).lower() in TIMES), "")
         if time and not options.of(options.time, file.stem):
             options.time[file.stem] = time
         text = [n for n in mine if table.columns[n].is_text and n != time]
         if len(text) + bool(time) >= len(mine):
             text = []  # whose own message says what is wrong
         if text:
-            left = ", ".join(repr(n.partition(":")[2]) for n in text)
+            left = ", ".join(repr(own(n)) for n in text)
             options.findings.doubts.append(f"{file.name}: {left}: text, not read")
         taken = {time, f"{file.stem}:{time}", f"{file.stem}:lost", *text}
-        options.streams[file.stem] = [
-            n for n in mine if n not in taken and n.partition(":")[2] not in options.counter.values()
-        ]
+        options.streams[file.stem] = [n for n in mine if n not in taken and own(n) not in options.counter.values()]
 
 
 def _is_xdf(path: Path, head: bytes) -> bool:

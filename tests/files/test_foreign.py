@@ -13,12 +13,12 @@ import pytest
 from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.devices.formats.findings import Findings
 from kinegraph.devices.formats.importer import read_files
-from kinegraph.stream.chunk import NS
+from kinegraph.stream.chunk import NS, StreamSpec
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.graph.reading import overrides
 from kinegraph.stream.graph.reading.load import load
 from kinegraph.stream.recording import Recording
-from kinegraph.stream.recording.series import Series
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.command_line import BOARD, Command
 
 FOREIGN = Path(__file__).parent / "foreign"
@@ -195,3 +195,52 @@ def test_an_identifier_of_digits_stays_as_it_is_spelt(text: str, kinegraph: Comm
     assert kinegraph("files", "import", "t.csv", "-o", "t.mcap", "--fact", f"subject={text}")[0] == 0
     with Recording.open(tmp_path / "t.mcap") as recording:
         assert recording.header["session"] == {"subject": text}
+
+
+NAMES = """
+a/b:c
+P01 walk-2
+2026-03-01 Müller
+x,y=z[1]
+'q' "d"
+None
+1e3
+~
+a|b{c}
+- x
+*x
+#a
+@x
+a: b #c
+a\\b
+""".strip().split("\n")
+
+
+@pytest.mark.parametrize("name", [*NAMES[:4], *(pytest.param(name, marks=pytest.mark.nightly) for name in NAMES[4:])])
+def test_any_name_of_a_stream_and_a_channel_goes_through_every_command(
+    name: str, kinegraph: Command, tmp_path: Path
+) -> None:
+    time = np.arange(300) * (NS // 100)
+    spec = StreamSpec((2,), np.dtype("f8"), 100.0, (name, "b"), ("uV",))
+    data = np.random.default_rng(0).normal(size=(300, 2))
+    write_recording(tmp_path / "o.mcap", [Series(name, spec, time, data)], {"graph": "", "session": {}}, chunk_s=0.02)
+    for command in (
+        ("dev", "new", "graph", "o.mcap", "-o", "g.yaml"),
+        ("check", "g.yaml"),
+        ("replay", "g.yaml", "o.mcap", "-q", "-o", "r"),
+        ("run", "g.yaml", "--view", "none", "-o", "s"),
+        ("files", "export", "o.mcap", "-o", "e.xdf"),
+        ("files", "import", "e.xdf", "-o", "e.mcap"),
+    ):
+        code, _, errors = kinegraph(*command)
+        assert code == 0, (command, errors)
+    with Recording.open(tmp_path / "e.mcap") as recording:
+        assert [*recording.streams] == [name] and recording.stream(name).spec.channels == (name, "b")
+
+
+@pytest.mark.parametrize("name", ["a:b", "P01 walk-2", "2026-03-01 Müller"])
+def test_any_name_of_a_file_is_read(name: str, tmp_path: Path) -> None:
+    (tmp_path / f"{name}.csv").write_text("time,x\n0,1\n1,2\n2,3\n")
+    assert read(tmp_path / f"{name}.csv")[0][""].data.ravel().tolist() == [1, 2, 3]
+    (tmp_path / f"{name}.edf").write_bytes((FOREIGN / "latin1.edf").read_bytes())
+    assert "signals" in read(tmp_path / f"{name}.edf")[0]
