@@ -94,7 +94,7 @@ class Main implements Page {
   }
 
   get runs(): boolean {
-    return this.hello?.mode === "live" || (this.hello?.mode === "replay" && !this.replayer.stands);
+    return (this.hello?.mode === "live" && !this.over) || (this.hello?.mode === "replay" && !this.replayer.stands);
   }
 
   seek(at: number): void {
@@ -119,7 +119,6 @@ class Main implements Page {
       case "events": return this.streams[message.s]?.addEvents(message, now);
       case "state":
         for (const panel of this.panels) if (panel instanceof StatePanel || panel instanceof GraphPanel) panel.take(message);
-        this.over = message.over;
         if (message.over) this.end(message.over, message.reports ?? []);
         else if (this.starting) this.begun(message.table);
         return;
@@ -164,6 +163,9 @@ class Main implements Page {
 
   /** The session has ended: say so, and link what it has left. */
   private end(why: string, reports: string[]): void {
+    const first = !this.over;
+    this.over = why;
+    if (first && this.hello) this.toolbar(this.hello);
     this.say(why);
     const links = reports.map((name, i) => make("a", { href: `reports/${i}`, target: "_blank", rel: "noopener" }, name.replace(/\.html$/, "")));
     if (links.length) this.status.append(": ", ...links.flatMap((link, i) => (i ? [", ", link] : [link])));
@@ -263,7 +265,7 @@ class Main implements Page {
       this.theme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark");
       localStorage.setItem("theme", document.documentElement.dataset["theme"] ?? "");
     };
-    const values = hello.values.map((v) => this.slider(v));
+    const values = (this.over ? [] : hello.values).map((v) => this.slider(v));
     if (this.recording) {
       this.seek(Math.min(this.length, this.at || this.window_s / 2));
       this.gap.onclick = () => this.seek(this.timeline?.nextGap(this.at) ?? this.at);
@@ -272,7 +274,7 @@ class Main implements Page {
     }
     const { button: hold, step, speed, whole } = this.replayer;
     if (hello.mode === "replay") return this.controls.replaceChildren(hold, step, speed, whole, this.windows, this.arranger.button, theme);
-    const marking = hello.mode === "live" ? [this.mark, button, ...(hello.words ?? []).map((word) => this.word(word))] : [];
+    const marking = hello.mode === "live" && !this.over ? [this.mark, button, ...(hello.words ?? []).map((word) => this.word(word))] : [];
     this.controls.replaceChildren(...values, this.windows, this.pause, ...marking, this.arranger.button, theme);
   }
 
@@ -389,7 +391,7 @@ class Main implements Page {
     if (this.held) return this.held;
     if (this.recording) return { begin: this.at - this.window_s / 2, end: this.at + this.window_s / 2, at: this.at };
     const newest = Math.max(-Infinity, ...this.streams.filter((s) => s.info.kind !== "events").map((s) => s.last).filter((t) => t === t));
-    if (this.hello?.mode === "replay" && Number.isFinite(newest)) return { begin: newest - this.window_s, end: newest, at: newest };
+    if ((this.hello?.mode === "replay" || this.over) && Number.isFinite(newest)) return { begin: newest - this.window_s, end: newest, at: newest };
     const ahead = newest - Date.now() / 1000;
     if (Number.isFinite(ahead)) this.ahead = Math.max(ahead, this.ahead - (DRIFT * DRAW_MS) / 1000);
     const end = Number.isFinite(this.ahead) ? this.now() : this.hello ? (Date.now() - this.t0_ms) / 1000 : 0;
