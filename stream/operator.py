@@ -19,7 +19,7 @@ from kinegraph.stream.data.arrays import series
 from kinegraph.stream.data.series import Series
 from kinegraph.stream.data.state import pack, size_of, unpack
 from kinegraph.stream.errors import KinegraphError
-from kinegraph.stream.params import check
+from kinegraph.stream.params import check, check_names
 
 S = TypeVar("S")
 
@@ -78,6 +78,10 @@ class Operator(Generic[S]):
     """By output of events: the longest time from the `end` (else `onset`) that an event describes to the event, in the operator's own
     input time; the delay of an event that led to it is added. Alarms that are over do not count. An output that is missing here promises
     nothing. Set by `set_state`."""
+
+    def __new__(cls, *values: Any, **named: Any) -> Self:
+        check_names(cls, named)
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         check(self)

@@ -8,7 +8,7 @@ and what would be accepted.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import cache
 from operator import ge, gt, le, lt
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 import numpy as np
 
 from kinegraph.stream.errors import ParameterError, nearest
+from kinegraph.stream.text.units import known_unit
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -32,14 +33,15 @@ def param(
     least: float | None = None,
     below: float | None = None,
     most: float | None = None,
+    unit: bool = False,
     help: str = "",
 ) -> Any:
     """A parameter of an operator, source or outlet. Without a default it must be given (and stands before those that have one).
 
-    `above`/`below` are exclusive bounds, `least`/`most` inclusive ones, of a number or of each number in a list; `help` is one line,
-    shown by editors and `kinegraph draw`.
+    `above`/`below` are exclusive bounds, `least`/`most` inclusive ones, of a number or of each number in a list; `unit`: the texts are
+    units, of which a known one is refused in another spelling; `help` is one line, shown by editors and `kinegraph draw`.
     """
-    bounds = {"above": above, "least": least, "below": below, "most": most}
+    bounds = {"above": above, "least": least, "below": below, "most": most, "unit": unit or None}
     metadata = {"description": help, **{name: bound for name, bound in bounds.items() if bound is not None}}
     return field(default=default, metadata={"kinegraph": metadata})
 
@@ -66,6 +68,14 @@ def check(part: Any) -> None:
     for name, value in _checked(type(part), given).items():
         if repr(value) != repr(given[name]):
             object.__setattr__(part, name, value)
+
+
+def check_names(cls: Any, given: Iterable[str]) -> None:
+    """Raise UnknownParameter for a name given in Python that is none, with the nearest: `__init__` would refuse it without a hint."""
+    known = [f.name for f in vars(cls).get("__dataclass_fields__", {}).values() if f.init]
+    for name in given if known else ():
+        if name not in known:
+            raise UnknownParameter(name, nearest(name, known))
 
 
 def plain(value: Any) -> Any:
@@ -197,6 +207,8 @@ def _check_bounds(name: str, value: Any, facts: Mapping[str, Any]) -> None:
     elif isinstance(value, dict):
         for key, item in value.items():
             _check_bounds(f"{name}.{key}", item, facts)
+    elif isinstance(value, str) and "unit" in facts and (known := known_unit(value)):
+        raise _within(name, ParameterError(name, value, f"a unit as it is written here; did you mean {known!r}?"))
     elif isinstance(value, int | float) and not isinstance(value, bool):
         lines = [f"{text} {facts[bound]:g}" for bound, (_, text, _) in BOUNDS.items() if bound in facts]
         if not all(holds(value, facts[bound]) for bound, (holds, _, _) in BOUNDS.items() if bound in facts):

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from kinegraph.stream.chunk import Chunk, Specs
-from kinegraph.stream.params import check
+from kinegraph.stream.params import check, check_names
 
 if TYPE_CHECKING:
     from kinegraph.stream.domain.impedance import Impedance
@@ -89,6 +89,10 @@ class Source:
     """Whether a session may start and end without this source (a person's annotations)."""
     may_appear: ClassVar[bool] = False
     """Whether what is `missing` before a session may well come by itself (a stream of another program): it is named and waited for."""
+
+    def __new__(cls, *values: Any, **named: Any) -> Self:
+        check_names(cls, named)
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         check(self)

@@ -29,7 +29,7 @@ class AnalogInput:
     name: str = param("", help="the channel's name; left out: the input's")
     scale: float = param(1.0, help="factor from volts to the unit")
     offset: float = param(0.0, help="added after the factor")
-    unit: str = param("V", help="unit of the channel")
+    unit: str = param("V", unit=True, help="unit of the channel")
     range_v: float = param(10.0, above=0, help="the largest voltage that is expected, in both directions")
 
     @property

@@ -46,7 +46,7 @@ class Field:
     role: Literal["data", "counter", "time"] = param("data", help="data, a counter of frames, or the device's time")
     scale: float = param(1.0, help="factor from the number to the unit")
     offset: float = param(0.0, help="added after the factor")
-    unit: str = param("", help="unit of the channel, or of the time")
+    unit: str = param("", unit=True, help="unit of the channel, or of the time")
     endian: Literal["", "little", "big"] = param("", help="byte order, where it differs from the frame's")
     wraps: int = param(
         0, least=0, help="of a counter: after how many frames it starts again, where that is not by its bits"

@@ -48,7 +48,9 @@ class AsciiLines(SerialSource):
     baud: int = param(115200, least=50, help="bits per second of the serial port")
     delimiter: str = param(",", help="between two numbers; a blank stands for any number of blanks")
     header: bool = param(False, help="the device prints a line with its columns' names, which gives their order")
-    units: tuple[str, ...] = param(("",), help="unit of every channel, or one for all, after scale and offset")
+    units: tuple[str, ...] = param(
+        ("",), unit=True, help="unit of every channel, or one for all, after scale and offset"
+    )
     scale: tuple[float, ...] = param(
         (1.0,), help="factor for every channel, or one for all, e.g. 5000 / 1023 mV per count"
     )

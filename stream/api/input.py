@@ -16,7 +16,7 @@ class Input(Source):
 
     channels: tuple[str, ...] = param(help="names of the channels")
     rate_hz: float | None = param(None, above=0.0, help="nominal rate; left out: irregular")
-    units: tuple[str, ...] = param(("",), help="one per channel, or one for all")
+    units: tuple[str, ...] = param(("",), unit=True, help="one per channel, or one for all")
 
     def specs(self) -> Specs:
         try:

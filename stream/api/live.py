@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Self
 
 from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.cli.commands.logs import to_logging
 from kinegraph.stream.cli.commands.run import simulated
 from kinegraph.stream.data.series import Series
 from kinegraph.stream.engine.session import Session
@@ -44,7 +45,8 @@ class LiveSession:
         session.mark("start"); session.set("envelope", "10")
     session.outcome.exit_code
 
-    It is recorded into `folder`, if one is given. Leaving the block ends it. What its operators raise is raised there.
+    It is recorded into `folder`, if one is given. Outlets (files, networks, the terminal) are silent but those that are named. Leaving the
+    block ends it. What its operators raise is raised there.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class LiveSession:
         folder: Path | None = None,
         duration_s: float = 0.0,
         *,
+        outlets: Iterable[str] = (),
         simulate: bool = False,
     ) -> None:
         """Raises KinegraphError where an edge is not there, or the folder is taken."""
@@ -64,7 +67,13 @@ class LiveSession:
         self._pieces: queue.Queue[tuple[str, Chunk]] = queue.Queue(WAITING)
         self._dropped = 0
         self._simulated = simulated(graph) if simulate else nullcontext()
-        self._session = Session(graph, folder, duration_s=duration_s)
+        to_logging()
+        speaking = (
+            graph.outlets if "all" in (asked := {*outlets}) else {whole_name(name, graph.outlets) for name in asked}
+        )
+        for name in speaking - graph.outlets:
+            raise KinegraphError(f"there is no outlet {name!r}; {nearest(name, graph.outlets)}")
+        self._session = Session(graph, folder, duration_s=duration_s, speaking=speaking)
         self._specs = {name: edge.spec for name, edge in self._session.pipeline.edges.items()}
         for name in (whole_name(edge, self._specs) for edge in edges):
             if name not in self._specs:

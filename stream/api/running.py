@@ -13,6 +13,7 @@ from kinegraph.stream.api.feeding import on_recording
 from kinegraph.stream.api.live import LiveSession
 from kinegraph.stream.api.results import Results
 from kinegraph.stream.cli.commands.ending import Ending
+from kinegraph.stream.cli.commands.logs import to_logging
 from kinegraph.stream.cli.commands.run import simulated
 from kinegraph.stream.engine.session import Session
 from kinegraph.stream.engine.status import Outcome
@@ -44,6 +45,7 @@ def run(
 
     Raises where an operator fails or a device is missing; the outcome's `exit_code` is 5 where an outlet or the recording lost something.
     """
+    to_logging()
     checked = _builder(graph).check()
     if folder is not None:
         refuse_taken_folder(Path(folder))
@@ -63,6 +65,7 @@ def live(
     folder: Path | str | None = None,
     *,
     duration_s: float = 0.0,
+    outlets: Iterable[str] = (),
     simulate: bool = False,
 ) -> LiveSession:
     """A session that runs in the background and hands over every chunk of these edges (left out: those that the graph records).
@@ -72,11 +75,16 @@ def live(
             piece.series.to_pandas()
 
     folder     where the session is recorded, a new one; None: not at all
+    outlets    those that take part ("all": each of them); the others write, send and print nothing
     simulate   simulated devices in the place of real ones
+
+    What is logged goes to Python's `logging`, under "kinegraph", and is shown where that is set up.
     """
     checked = _builder(graph).check()
     wanted = [*edges] or [str(edge) for edge in checked.record]
-    return LiveSession(checked, wanted, None if folder is None else Path(folder), duration_s, simulate=simulate)
+    return LiveSession(
+        checked, wanted, None if folder is None else Path(folder), duration_s, outlets=outlets, simulate=simulate
+    )
 
 
 def replay(

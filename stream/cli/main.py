@@ -6,19 +6,22 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial, wraps
 from importlib.metadata import version
 from io import TextIOWrapper
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from kinegraph.stream.cli.registry import command_in, function_of, group_in, overview, unknown
 from kinegraph.stream.compiler.llvm_guard import later, within_llvm
 from kinegraph.stream.errors import Interrupted, KinegraphError, Terminated
 from kinegraph.stream.system.atomic_file import be_private
 from kinegraph.stream.text.safe_text import say
+
+if TYPE_CHECKING:
+    import typer
 
 
 def main() -> None:
@@ -127,10 +130,29 @@ def _forget_output() -> None:
 
 
 def call(name: str, arguments: list[str]) -> None:
-    """Run one command (a function, or a package's Typer app); wrong arguments end the program with exit code 2 and the command's usage.
+    """Run one command (a function, or a package's Typer app); raises KinegraphError for wrong arguments.
 
     `name` includes the command's group: `emg calibrate`.
     """
+
+    try:
+        code = app_of(name, arguments)(arguments, prog_name=f"kinegraph {name}", standalone_mode=False)
+    except Exception as error:
+        message = getattr(
+            error, "format_message", None
+        )  # an error of click, which Typer brings under a name of its own
+        if message is None:
+            raise
+        text = message().strip()
+        raise KinegraphError(
+            f"{text[:1].lower()}{text[1:].rstrip('.')}; `kinegraph {name} --help` describes it"
+        ) from None
+    if isinstance(code, int) and code:
+        sys.exit(code)
+
+
+def app_of(name: str, arguments: Sequence[str] = ()) -> typer.Typer:
+    """A command as Typer takes it; its help describes the graph that `arguments` name."""
     import typer
 
     found = function_of(name)
@@ -145,10 +167,10 @@ def call(name: str, arguments: list[str]) -> None:
             context_settings={"help_option_names": ["-h", "--help"]},
             epilog=_settings_of(name, arguments),
         )(_interruptible(found))
-    app(arguments, prog_name=f"kinegraph {name}")
+    return app
 
 
-def _settings_of(name: str, arguments: list[str]) -> str | None:
+def _settings_of(name: str, arguments: Sequence[str]) -> str | None:
     """What the help of a command says of the graph that it is called with."""
     if not {"-h", "--help"} & set(arguments):
         return None

@@ -1,16 +1,21 @@
-"""The commands of `kinegraph`: twelve at top level, the others in groups, and what other packages add to both."""
+"""The commands of `kinegraph`: thirteen at top level, the others in groups, and what other packages add to both."""
 
 from __future__ import annotations
 
+import ast
 import importlib
 from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from itertools import takewhile
+from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any
 
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.entry_points import loaded
+from kinegraph.stream.system.names import is_ours
 
 COMMANDS = {
     "demo": ("kinegraph.stream.cli.commands.demo:demo", "Show a simulated session in the browser."),
@@ -30,6 +35,10 @@ COMMANDS = {
     "info": ("kinegraph.stream.cli.commands.info:info", "Show what a recording holds."),
     "recover": ("kinegraph.stream.cli.commands.recover:recover", "Complete a recording left by a killed process."),
     "dev try": ("kinegraph.stream.cli.commands.try_:try_", "Check an operator of your own against the laws."),
+    "dev completion": (
+        "kinegraph.stream.cli.completion:completion",
+        "Print what makes bash, zsh or fish complete commands.",
+    ),
     "dev schema": ("kinegraph.stream.cli.commands.schema:schema", "Write the JSON Schema of graphs, for editors."),
 }
 """The engine's commands. Packages add theirs by the entry-point group `kinegraph.commands`; `emg.compare` is `kinegraph emg compare`."""
@@ -71,6 +80,8 @@ RENAMED = {
 }
 """Names of former versions; they do not work any more, but the refusal gives the present one."""
 
+UNLIMITED = 1000
+"""Columns of what is no terminal."""
 MAX_WORDS = 3
 """Words of the longest command: a group, a group in it, a name."""
 
@@ -136,7 +147,7 @@ def overview(group: str = "") -> str:
     for name in known:
         if " " not in name.removeprefix(before):
             try:
-                rows[name.removeprefix(before)] = COMMANDS[name][1] if name in COMMANDS else _first_line(name)
+                rows[name.removeprefix(before)] = COMMANDS[name][1] if name in COMMANDS else _summary(name)
             except KinegraphError as error:
                 broken.append(f"\n{error}\n")
     groups = {name.removeprefix(before).split()[0]: "" for name in known if " " in name.removeprefix(before)}
@@ -151,9 +162,18 @@ def overview(group: str = "") -> str:
     parts = [about]
     for title, listing in (("commands", rows), ("groups of commands", groups)):
         if listing:
-            parts.append(f"{title}:\n" + "".join(f"  {name:<{width}} {text}\n" for name, text in listing.items()))
+            parts.append(f"{title}:\n" + "".join(_row(name, text, width) for name, text in listing.items()))
     parts += broken
     return "\n".join([*parts, f"`kinegraph {before}COMMAND --help` describes a command and its options."])
+
+
+def _row(name: str, text: str, width: int) -> str:
+    """A command and what it does, as wide as the terminal; what is no terminal is as wide as it takes."""
+    columns = get_terminal_size((UNLIMITED, 24)).columns
+    return (
+        fill(text, max(columns, width + 30), initial_indent=f"  {name:<{width}} ", subsequent_indent=" " * (width + 3))
+        + "\n"
+    )
 
 
 def _groups(commands: Sequence[str]) -> set[str]:
@@ -169,7 +189,24 @@ def _added() -> dict[str, EntryPoint]:
     return found
 
 
-def _first_line(name: str) -> str:
-    function = function_of(name)
-    callback = getattr(getattr(function, "registered_callback", None), "callback", function)
-    return (callback.__doc__ or "").strip().partition("\n")[0]
+def _summary(name: str) -> str:
+    """The first sentence of a command's help. A module of ours is not loaded for it: some load numba."""
+    entry = _added()[name]
+    text = _documentation(entry) if is_ours(entry.module) else None
+    if text is None:
+        function = function_of(name)
+        callback = getattr(getattr(function, "registered_callback", None), "callback", function)
+        text = callback.__doc__ or ""
+    paragraph = " ".join(text.strip().partition("\n\n")[0].split())
+    first, end, _ = paragraph.partition(". ")
+    return first + end.strip()
+
+
+def _documentation(entry: EntryPoint) -> str | None:
+    """The docstring of the function that an entry point names, as its file has it; None where there is none."""
+    file = Path(__file__).parents[2].joinpath(*entry.module.split(".")[1:]).with_suffix(".py")
+    try:
+        body = ast.parse(file.read_bytes()).body
+    except (OSError, SyntaxError):
+        return None
+    return next((ast.get_docstring(f) for f in body if isinstance(f, ast.FunctionDef) and f.name == entry.attr), None)

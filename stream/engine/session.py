@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
@@ -51,6 +51,7 @@ class Session:
 
     folder       where the recording and the checkpoint go; None: nothing is recorded
     resume       go on with the session that was broken off in `folder`
+    speaking     the outlets that take part; None: all
     duration_s   end after this long; 0: when stopped, or when every source has ended
     asked_by     which signal, or whoever else, asked it to end; "" where nothing did
     now(), turn  session time (ns): the clock's, or without live sources how far data have come;  whether all are ready: `turn.open`
@@ -64,6 +65,7 @@ class Session:
         resume: bool = False,
         duration_s: float = 0.0,
         view: SessionView | None = None,
+        speaking: Collection[str] | None = None,
     ) -> None:
         refuse_unsuited(graph)
         self.graph, self.folder, self._view, self._duration_s = graph, folder, view, duration_s
@@ -79,7 +81,9 @@ class Session:
         waits = not is_live(graph)
         self.log = SessionLog(folder, graph, self.clock, self._prior, waits=waits)
         self._workers = Workers(self._ready, waits, self._fail, partial(self.log.report, DROPPED))
-        self.pipeline = Pipeline(graph, speaking=graph.outlets, bridge=self._workers.bridge, stop=self.stop)
+        self.pipeline = Pipeline(
+            graph, speaking=graph.outlets if speaking is None else speaking, bridge=self._workers.bridge, stop=self.stop
+        )
         self._supervisors = [
             SourceSupervisor(node, self._ready, self.clock, self.log.report, self._fail) for node in graph.sources
         ]

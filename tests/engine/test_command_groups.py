@@ -1,7 +1,9 @@
-"""Commands are twelve at top level and the others in groups; a former name leads to the present one; packages add to both."""
+"""Commands are thirteen at top level and the others in groups; a former name leads to the present one; packages add to both."""
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,9 +11,10 @@ from pathlib import Path
 import pytest
 
 from kinegraph.stream.cli.registry import GROUPS, RENAMED, names
-from tests.support.command_line import Command, refused
+from tests.support.command_line import KINEGRAPH, Command, refused, shell
 
 TOP = {
+    "demo",
     "run",
     "replay",
     "check",
@@ -57,10 +60,10 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def listed(text: str) -> set[str]:
-    return {line.split()[0] for line in text.splitlines() if line.startswith("  ")}
+    return {line.split()[0] for line in text.splitlines() if re.match(r"  \S", line)}
 
 
-def test_help_lists_twelve_commands_and_the_groups(kinegraph: Command) -> None:
+def test_help_lists_thirteen_commands_and_the_groups(kinegraph: Command) -> None:
     code, out, _ = kinegraph("--help")
     assert code == 0 and listed(out) == {*TOP, "emg", "sleep", "motion", "files", "dev"}
     assert {name for name in names() if " " not in name} == TOP
@@ -113,8 +116,50 @@ def test_a_package_adds_commands_to_the_top_level_to_groups_and_a_group_of_its_o
     assert "Walk for somebody." in kinegraph("motion", "train", "--help")[1]
 
 
-def test_help_loads_no_command_of_a_group() -> None:
-    code = "import sys; sys.argv[1:] = ['--help']; from kinegraph.stream.cli.main import main\ntry: main()\n"
-    code += "except SystemExit: pass\nprint([m for m in sys.modules if m.startswith('kinegraph.operators')])"
+@pytest.mark.parametrize("group", [[], ["emg"], ["motion", "train"]])
+def test_help_loads_no_command_of_a_group(group: list[str]) -> None:
+    code = f"import sys; sys.argv[1:] = {[*group, '--help']}; from kinegraph.stream.cli.main import main\ntry: main()\n"
+    code += "except SystemExit: pass\nprint([m for m in sys.modules if m.startswith('kinegraph.operators') or m == 'numba'])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_help_of_a_group_is_not_cut_off_and_fits_the_terminal(
+    kinegraph: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    out = kinegraph("motion", "train", "--help")[1]
+    assert max(map(len, out.splitlines())) <= 80
+    told = " ".join(out.split())
+    assert "steering Learn how a mesh moves with a few of its vertices (thesis, chapter 9). steps" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["re"], ["record", "recover", "replay"]),
+        (["emg", "ca"], ["calibrate"]),
+        (["motion", "train", "st"], ["steering", "steps"]),
+        (["mo"], ["motion"]),
+        (["run", "treadmill_"], ["treadmill_both_legs", "treadmill_emg"]),
+        (["run", "treadmill_emg", "--sim"], ["--simulate"]),
+        (["run", "treadmill_emg", "--no-r"], ["--no-record"]),
+        (["demo", "n"], ["night"]),
+        (["replay", "treadmill_emg", "rec"], []),
+        (["xyzzy", ""], []),
+    ],
+)
+def test_a_shell_is_given_what_a_word_may_become(words: list[str], found: list[str], kinegraph: Command) -> None:
+    code, out, _ = kinegraph("dev", "completion", "bash", "--", *words)
+    assert code == 0 and out.split() == found
+
+
+def test_a_shell_that_is_not_known_is_refused(kinegraph: Command) -> None:
+    refused(kinegraph("dev", "completion", "bsh"), "there is no completion for 'bsh'; did you mean 'bash'?")
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
+def test_bash_completes(tmp_path: Path) -> None:
+    typed = "COMP_WORDS=(kinegraph emg ca); COMP_CWORD=2; _kinegraph; echo ${COMPREPLY[@]}"
+    done = shell(f"PATH={KINEGRAPH.parent}:$PATH; source <(kinegraph dev completion bash); {typed}", tmp_path)
+    assert done.stdout == "calibrate\n", done.stderr

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import datetime
+import pickle
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -10,6 +12,9 @@ import jsonschema
 import numpy as np
 import pytest
 
+from kinegraph.devices.people.treadmill import Treadmill
+from kinegraph.operators import Lowpass
+from kinegraph.stream.api.input import Input
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.operator import Operator
 from kinegraph.stream.params import MissingParameter, build, check, help_of, param, schema
@@ -184,3 +189,26 @@ def test_what_is_given_in_python_is_kept_as_yaml_would_have_given_it() -> None:
 def test_what_lacks_within_a_mapping_is_named() -> None:
     with pytest.raises(ParameterError, match=r"band is .*; it must be complete; 'low_hz' is missing"):
         made(band={"high_hz": 3})
+
+
+def test_a_misspelt_name_in_python_gets_the_hint_that_yaml_gives() -> None:
+    for part in (lambda: Lowpass(cutof_hz=6), lambda: Treadmill(duration=1.0)):  # type: ignore[call-arg]
+        with pytest.raises(ParameterError, match=r"is no parameter; did you mean '(cutoff_hz|duration_s)'\?"):
+            part()
+    assert (
+        copy.deepcopy(Lowpass(cutoff_hz=6)) == pickle.loads(pickle.dumps(Lowpass(cutoff_hz=6))) == Lowpass(cutoff_hz=6)
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [("newtons", "N"), ("microvolts", "uV"), ("UV", "uV"), ("m/s^2", "m/s2"), ("milivolts", "mV"), ("degrees", "deg")],
+)
+def test_a_known_unit_in_another_spelling_is_refused_with_the_known_one(given: str, meant: str) -> None:
+    with pytest.raises(ParameterError, match=rf"units\[1\] is .*; did you mean '{meant}'\?"):
+        Input(channels=("a", "b"), rate_hz=100.0, units=("V", given))
+
+
+def test_units_that_are_known_or_unheard_of_are_taken() -> None:
+    for unit in ("", "uV", "µV", "g", "spoons", "% MVC", "counts", "px"):
+        assert Input(channels=("a",), rate_hz=100.0, units=(unit,)).specs()["out"].units == (unit,)

@@ -114,8 +114,12 @@ def test_a_person_watches_cycles_a_gap_and_finds_the_report_on_the_page(tmp_path
         browser.wait("[...document.querySelectorAll('.signal')].some(panel => panel.dataset.gaps > 0)")
         process.process.send_signal(signal.SIGINT)
         browser.wait("document.querySelector('#status a')?.textContent === 'report'")
-        assert not browser.value("!!document.querySelector('.signal .stale, .signal.stale')"), "what is over is not late"
-        assert not browser.value("!!document.querySelector('input[aria-label=annotation]')"), "nobody can mark it any more"
+        assert not browser.value("!!document.querySelector('.signal .stale, .signal.stale')"), (
+            "what is over is not late"
+        )
+        assert not browser.value("!!document.querySelector('input[aria-label=annotation]')"), (
+            "nobody can mark it any more"
+        )
         assert browser.value("document.getElementById('status').textContent").startswith("the session has ended")
         assert browser.complaints == []
         assert re.search(r"kinegraph view recordings/treadmill_emg-\S+", process.said)

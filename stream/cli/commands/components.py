@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinegraph.stream.errors import KinegraphError, nearest
+from kinegraph.stream.system.names import PACKAGES
 from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
@@ -38,7 +39,8 @@ def components(
     import_from(Path())
     found, failed = catalogue((*packages(), *(package or ())))
     for module, reason in failed.items():
-        say(f"skipped {module}: {reason}", err=True)
+        if not lacks_extra(module, reason):
+            say(f"skipped {module}: {reason}", err=True)
     if "." in name and name not in found:
         found[name] = find(name)
     exact = [path for path in found if name in (path, path.rpartition(".")[2])]
@@ -55,6 +57,11 @@ def components(
         _show(hits[0], found[hits[0]])
     else:
         _list({path: found[path] for path in hits})
+
+
+def lacks_extra(module: str, reason: str) -> bool:
+    """Whether a module of ours is left out because a library that it works with is not installed: no fault, so nothing to report."""
+    return module.partition(".")[0] in PACKAGES and reason.startswith("ModuleNotFoundError")
 
 
 def _list(found: dict[str, Part]) -> None:

@@ -223,6 +223,10 @@ def _tell_end(outcome: Outcome) -> None:
         if row.get("error") and row.get("behind_s"):
             say(f"  {name}: the last {row['behind_s']:.1f} s could not be written and are lost", err=True)
         troubles = {k: row[k] for k in ("dropped", "late", "gaps", "dropped_chunks", "error", "problems") if row.get(k)}
+        if troubles.get("error") and str(troubles["error"]) in str(outcome.error):
+            troubles["error"] = "as below"
+        if row.get("openings", 0) > 1:
+            troubles["openings"] = row["openings"]
         if troubles:
             say(f"  {name}: {json.dumps(troubles)}", err=True)
     for name, why in outcome.missing.items():
