@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import structlog
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 from kinegraph.stream.text.time_text import in_hours
@@ -54,6 +55,7 @@ def nights(
     months: Annotated[bool, typer.Option("--months", help="weeks: by months")] = False,
     free: Annotated[str, typer.Option(help="mornings without work")] = "sat,sun",
     output: Annotated[Path | None, typer.Option("-o", "--out", help="weeks: the folder; export: the file")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """List the nights on this computer, with their trends.
 
@@ -66,7 +68,7 @@ def nights(
         raise KinegraphError(f"there is no folder {path}; name the one of the night's log with --path")
     weekdays = _weekdays(free)
     if action is Action.list:
-        _list(path, sleeper, weekdays)
+        _list(path, sleeper, weekdays, as_json)
     elif action in (Action.weeks, Action.export):
         _over_weeks(
             action,
@@ -193,12 +195,16 @@ def _epochs(folder: Path) -> str:
         return "damaged"
 
 
-def _list(root: Path, sleeper: str, free: tuple[int, ...]) -> None:
+def _list(root: Path, sleeper: str, free: tuple[int, ...], as_json: bool) -> None:
     from rich.table import Table
 
     from kinegraph.devices.reports.night import archive, weeks, weeks_page
     from kinegraph.stream.text.screen import Screen
 
+    if as_json:
+        nights_there = [(folder, facts) for folder, facts in archive.nights(root) if sleeper in ("", facts.sleeper)]
+        print_json([{"night": folder.name, "folder": folder, "facts": facts} for folder, facts in nights_there])
+        return
     table = Table(
         "night", "kind", "from", "to", "asleep", "efficiency", "epochs", "report", "size", box=None, header_style="bold"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,8 @@ def test_a_recording(kinegraph: Command, tmp_path: Path, fault: str, code: int) 
         recorder.write(number, Chunk(stamps(14000), measured(fault), FOREVER), int(stamps(14000)[-1]), 0)
     told = kinegraph("emg", "check-electrodes", "r.mcap", "--contraction", "5-14")
     assert told[0] == code and "what to do" in told[1]
+    electrodes = json.loads(kinegraph("emg", "check-electrodes", "r.mcap", "--contraction", "5-14", "--json")[1])
+    assert [e["name"] for e in electrodes["electrodes"] if e["flag"] != "good"] == ["SO"] * code
     assert not fault or "SO mains hum" in told[2]
 
 

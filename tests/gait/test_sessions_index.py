@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -65,4 +66,6 @@ def test_recordings_of_a_folder_are_listed_and_their_clocks_compared(tmp_path: P
     assert float(rows["a.mcap"]["length (s)"]) > 10 and "cannot be read" in rows["broken.mcap"]["facts"]
     assert "b.mcap" not in kinegraph("emg", "sessions", tmp_path, "--subject", "S01")
     told = kinegraph("files", "compare-clocks", tmp_path / "a.mcap", tmp_path / "b.mcap", "--stream", "box.sync")
+    compared = ("files", "compare-clocks", tmp_path / "a.mcap", tmp_path / "b.mcap", "--stream", "box.sync", "--json")
+    assert json.loads(kinegraph(*compared))["offset_s"] == pytest.approx(7.5)
     assert "+ 7.500000 s" in told and "ppm" in told and "residual 0.00 ms" in told

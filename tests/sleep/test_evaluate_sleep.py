@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -196,6 +197,16 @@ def test_thirty_one_real_hypnograms_against_a_spoilt_copy(tmp_path: Path, capsys
     assert len((tmp_path / "out" / "nights.csv").read_text().splitlines()) == len(lines)
     with pytest.raises(KinegraphError, match="--overwrite"):
         evaluate(nights=tmp_path / "nights.csv", output=tmp_path / "out")
+
+
+def test_results_for_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_csv(tmp_path / "a.csv", ["wake"] * 10 + ["sleep"] * 50)
+    write_csv(tmp_path / "b.csv", ["W"] * 12 + ["N2"] * 48)
+    evaluate(tmp_path / "a.csv", tmp_path / "b.csv", as_json=True)
+    (found,) = json.loads(capsys.readouterr().out)
+    (night,) = found["nights"]
+    assert night["specificity"] == pytest.approx(10 / 12) and found["agreement_min"]["tst"]["bias"] == 1.0
+    assert found["agreement_min"]["tst"]["low"] is None, "of one night there are no limits"
 
 
 def test_the_command_line(tmp_path: Path) -> None:

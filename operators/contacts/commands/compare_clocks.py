@@ -9,6 +9,7 @@ import numpy as np
 import typer
 
 from kinegraph.stream.chunk import NS, Samples
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
@@ -24,6 +25,7 @@ def compare_clocks(
         float | None, typer.Option(help="where a channel's pulse begins; else half of its range")
     ] = None,
     within_ms: Annotated[float, typer.Option(help="pulses that match lie this near to each other")] = 20.0,
+    as_json: AsJson = False,
 ) -> None:
     """Compare two recordings' clocks by a trigger that both recorded (TTL line, LSL markers, switch).
 
@@ -35,6 +37,9 @@ def compare_clocks(
     found = match_pulses(
         read_pulses(first, stream, threshold), read_pulses(second, other or stream, threshold), within_ms / 1000
     )
+    if as_json:
+        print_json(found)
+        return
     say(
         f"{second} + {found.offset_s:.6f} s, drift {found.drift_ppm:+.1f} ppm from {found.start_s:.3f} s on: "
         f"{found.matched} of {found.first} and {found.second} pulses match, residual {found.residual_ms:.2f} ms rms, "

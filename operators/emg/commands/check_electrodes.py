@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
@@ -46,6 +47,7 @@ def check_electrodes(
         typer.Option(metavar="KOHM", min=0.1, help="an impedance above this is doubtful, ten times as much is bad"),
     ] = 50.0,
     simulate: Annotated[bool, typer.Option("--simulate", help="simulated devices in the place of real ones")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Check the electrodes before a session.
 
@@ -63,11 +65,14 @@ def check_electrodes(
         with TemporaryDirectory(prefix="kinegraph-") as folder:
             ohm = _measure(source, File(folder) / "check", quiet, strong, simulate=simulate, impedance=impedance)
             found, unit = _judge(File(folder) / "check", emg, quiet, strong, ohm, 1000 * most_kohm)
-    _show(found, unit)
+    if as_json:
+        print_json({"unit": unit, "electrodes": found})
+    else:
+        _show(found, unit)
     if poor := [f"{e.name} {e.reason}" for e in found if e.flag != "good"]:
         say(f"{len(poor)} of {len(found)} electrodes need a look: {', '.join(poor)}", err=True)
         sys.exit(1)
-    say(f"all {len(found)} electrodes are good")
+    say(f"all {len(found)} electrodes are good", err=as_json)
 
 
 def _span(text: str, option: str, default: Span) -> Span:

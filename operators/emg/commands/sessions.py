@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
@@ -17,6 +18,7 @@ def sessions(
     folder: Annotated[File, typer.Argument(help="where recordings lie, in it and below", metavar="FOLDER")] = File(),
     output: Annotated[File | None, typer.Option("-o", "--out", help="a CSV file instead of a table")] = None,
     subject: Annotated[str, typer.Option(help="only sessions of this subject")] = "",
+    as_json: AsJson = False,
 ) -> None:
     """List recordings: subject, date, length, facts, gait cycles (accepted and rejected), channels that were not good.
 
@@ -38,6 +40,9 @@ def sessions(
             sheet.writerow(COLUMNS)
             sheet.writerows([row[name] for name in COLUMNS] for row in rows)
         say(f"{output}: {len(rows)} sessions")
+        return
+    if as_json:
+        print_json([{name: row[name] for name in COLUMNS} for row in rows])
         return
     if not sys.stdout.isatty():
         plain = csv.writer(sys.stdout, delimiter="\t", lineterminator="\n")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.data.csv_writer import Sheet
 from kinegraph.stream.data.tables import read_records
 from kinegraph.stream.errors import KinegraphError
@@ -59,6 +60,7 @@ def evaluate(
     ] = 0.0,
     output: Annotated[File | None, typer.Option("-o", "--out", help="folder for the pictures and scores.csv")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Boundary F1, covering, accuracy and repetitions against annotations, with a picture of each recording.
 
@@ -70,7 +72,7 @@ def evaluate(
     """
     from kinegraph.operators.segmentation.evaluation.found import read_found
     from kinegraph.operators.segmentation.evaluation.picture import draw
-    from kinegraph.operators.segmentation.evaluation.scores import score
+    from kinegraph.operators.segmentation.evaluation.scores import intervals, score
     from kinegraph.operators.segmentation.evaluation.truth import read_truth
     from kinegraph.stream.text.screen import Screen
 
@@ -87,12 +89,15 @@ def evaluate(
             picture = f"{name.replace('/', '_')}.png"
             _save(output, picture, overwrite)
             draw(name, found, known, radius or float("nan")).savefig(output / picture, dpi=120)
-    for settings, of in groups.items():
+    if as_json:
+        means = {settings: intervals(list(of.values())) for settings, of in groups.items()}
+        print_json({"recordings": scores, "mean_and_95_percent_interval": means})
+    for settings, of in groups.items() if not as_json else ():
         Screen().print(_summary(of, settings))
     if output:
         _save(output, "scores.csv", overwrite)
         _sheet(output / "scores.csv", scores)
-        say(str(output))
+        say(str(output), err=as_json)
 
 
 def _wanted(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.data.tables import read_records
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder
@@ -50,6 +51,7 @@ def evaluate(
         File | None,
         typer.Option(metavar="CSV", help="what the report cannot know: columns item, answer"),
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Sensitivity, specificity, kappa, and Bland-Altman limits of TST, SOL and WASO, against a reference hypnogram.
 
@@ -63,7 +65,7 @@ def evaluate(
 
     An EDF file says no time zone: both then go by the clock on the wall. epochs.csv and recordings are in UTC.
     """
-    from kinegraph.operators.sleep.evaluation.comparison import NOTE, tables
+    from kinegraph.operators.sleep.evaluation.comparison import NOTE, results, tables
     from kinegraph.stream.text.screen import Screen
 
     pairs: list[Pair] = []
@@ -73,8 +75,10 @@ def evaluate(
     for name, settings, e, (r, person, late) in wanted:
         pairs.append(_pair(name, e, r, person, late, stream, epoch_s))
         groups.setdefault(settings, []).append(pairs[-1])
-    console = Screen()
-    for settings, of in groups.items():
+    if as_json:
+        print_json([{"settings": settings, **results(of)} for settings, of in groups.items()])
+    console = Screen(stderr=as_json)
+    for settings, of in groups.items() if not as_json else ():
         if settings:
             console.print(settings, style="bold", markup=False)
         for table in tables(of):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -84,6 +84,17 @@ def pooled_intervals(pairs: list[Pair]) -> list[tuple[float, float]]:
     confusions, persons = [one.confusion for one in pairs], [one.person for one in pairs]
     numbers = (lambda c: c.sensitivity, lambda c: c.specificity, lambda c: c.kappa)
     return [interval(confusions, persons, of) for of in numbers]
+
+
+def results(pairs: list[Pair]) -> dict[str, Any]:
+    """What `tables` shows, for programs; nights in minutes."""
+
+    def counts(c: Confusion) -> dict[str, float]:
+        rates = {"sensitivity": c.sensitivity, "specificity": c.specificity, "kappa": c.kappa}
+        return {"epochs": c.epochs, "unknown": c.unknown, **rates}
+
+    nights = [{"night": one.name, "person": one.person, **counts(one.confusion)} for one in pairs]
+    return {"nights": nights, "pooled": counts(total(pairs)), "agreement_min": agreement(pairs)}
 
 
 def tables(pairs: list[Pair]) -> list[Table]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinegraph.stream.cli.commands.graph_options import GraphFile, Quiet, TrustedOnly
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
@@ -45,6 +46,7 @@ def batch(
     ] = 0,
     retries: Annotated[int, typer.Option(help="how often a job whose worker died is tried again", min=0)] = 1,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="do again what is done already")] = False,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     trusted_only: TrustedOnly = False,
 ) -> None:
@@ -66,7 +68,12 @@ def batch(
     common = Common(text, path.stem, str(path.absolute()), trusted_only=trusted_only, again=overwrite)
     with _shown(len(wanted), quiet) as progress:
         tally = run(common, wanted, out, where=cluster, count=workers, retries=retries, progress=progress)
-    _tell(tally, out)
+    if as_json:
+        failed = [{"job": entry.describe(), "error": entry.error} for entry in tally.failed]
+        done = {"done": tally.made["done"] + tally.made["incomplete"], "unchanged": tally.kept, "failed": failed}
+        print_json({**done, "seconds": tally.seconds, "left_out": tally.left_out, "folder": out})
+    else:
+        _tell(tally, out)
     if tally.failed:
         sys.exit(1)
     if tally.incomplete:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path as File
 from textwrap import fill
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -12,6 +12,7 @@ from rich.text import Text
 
 from kinegraph.stream.chunk import StreamSpec
 from kinegraph.stream.cli.commands.graph_options import GraphFile, Settings, TrustedOnly
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.domain.axes import describe_axes
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.graph import Edge, Graph, Node
@@ -34,6 +35,7 @@ def check(
     recording: Annotated[
         File | None, typer.Option(help="check it against the streams of this recording, as for a replay")
     ] = None,
+    as_json: AsJson = False,
     trusted_only: TrustedOnly = False,
 ) -> None:
     """Check a graph without opening any device: names, parameters, streams, delay and memory. Exit code 2 if it cannot run."""
@@ -46,6 +48,10 @@ def check(
     _tell_beside(config)
     graph = load(config, recorded=recorded, overrides=overrides.read(settings or ()), trusted_only=trusted_only)
     planned = plan(graph, enforce=False)
+    if as_json:
+        print_json(_facts(graph, planned))
+        refuse_late(graph, planned.paths)
+        return
     console = Screen()
     if console.width >= WIDE:
         console.print(_nodes(graph))
@@ -58,6 +64,32 @@ def check(
         console.print(f"note: {hint}", style="dim")
     refuse_late(graph, planned.paths)
     console.print(_verdict(graph, planned))
+
+
+def _facts(graph: Graph, planned: Plan) -> dict[str, Any]:
+    """What `check` finds, for programs."""
+    slowest = planned.slowest
+    return {
+        "graph": graph.name,
+        "nodes": [
+            {
+                "name": node.name,
+                "use": node.use,
+                "reads": {port: str(edge) for port, edge in node.inputs.items()},
+                "gives": {output: spec.describe() for output, spec in node.specs.items()},
+            }
+            for node in shown(graph)
+        ],
+        "paths": [
+            {"nodes": [s.node for s in p.steps], "delay_s": p.delay_s, "memory_bytes": p.memory_bytes}
+            for p in planned.paths
+        ],
+        "events": [{"output": str(d.origin), "after_s": d.after_s, "total_s": d.total_s} for d in planned.decisions],
+        "delay_s": slowest.delay_s if slowest else 0.0,
+        "latency_budget_ms": graph.latency_budget_ms,
+        "memory_bytes": planned.memory_bytes,
+        "notes": _unread(graph),
+    }
 
 
 def _tell_beside(config: File) -> None:

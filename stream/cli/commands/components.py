@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError, nearest
 from kinegraph.stream.system.names import PACKAGES
 from kinegraph.stream.text.safe_text import say
@@ -30,6 +31,7 @@ def components(
         str, typer.Argument(metavar="[NAME]", help="a dotted path, a class name, or a word to search for")
     ] = "",
     package: Annotated[list[str] | None, typer.Option(help="a package or module of your own to include")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """List every source, operator and outlet that a graph can use; with NAME, show its ports and parameters."""
     from pathlib import Path
@@ -53,10 +55,24 @@ def components(
             else "`kinegraph components` lists all components"
         )
         raise KinegraphError(f"no component matches {name!r}; {hint}")
-    if len(hits) == 1:
+    if as_json:
+        print_json([_described(path, found[path], whole=len(hits) == 1) for path in hits])
+    elif len(hits) == 1:
         _show(hits[0], found[hits[0]])
     else:
         _list({path: found[path] for path in hits})
+
+
+def _described(path: str, part: Part, *, whole: bool) -> dict[str, Any]:
+    """A component for programs; `whole`: with its ports and the JSON Schema of its parameters."""
+    from kinegraph.stream.graph.components import kind_of
+    from kinegraph.stream.params import schema
+
+    described = {"use": path, "kind": kind_of(part), "what": _first_line(part)}
+    if not whole:
+        return described
+    ports = {"inputs": list(getattr(part, "inputs", ())), "outputs": list(part.outputs)}
+    return {**described, **ports, "parameters": schema(part)}
 
 
 def lacks_extra(module: str, reason: str) -> bool:

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError, nearest
 from kinegraph.stream.graph.shipped import shipped, shipped_parts, summary
 
@@ -15,6 +16,7 @@ from kinegraph.stream.graph.shipped import shipped, shipped_parts, summary
 def configs(
     names: Annotated[list[str] | None, typer.Argument(metavar="NAME", help="the graphs to copy")] = None,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="where the copies go")] = Path(),
+    as_json: AsJson = False,
 ) -> None:
     """List the graphs that come with kinegraph; with names, copy these into a folder, to be changed there.
 
@@ -25,6 +27,9 @@ def configs(
     there = shipped() | parts
     if not there:
         raise KinegraphError("no graphs are installed with kinegraph; install it from a wheel, or work in a checkout")
+    if not names and as_json:
+        print_json([{"name": name, "path": path, "what": summary(path)} for name, path in there.items()])
+        return
     if not names:
         width = max(map(len, there))
         for name, path in there.items():
@@ -43,4 +48,7 @@ def configs(
     for path, copy in copies.items():
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, copy)
-        print(copy)
+        if not as_json:
+            print(copy)
+    if as_json:
+        print_json([*copies.values()])

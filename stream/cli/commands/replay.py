@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kinegraph.stream.cli.commands.graph_options import GraphFile, Quiet, Settings, TrustedOnly
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.cli.commands.page_options import NoToken, PageAt, PageAvatar
 from kinegraph.stream.errors import KinegraphError, nearest
 from kinegraph.stream.text.safe_text import say
@@ -52,6 +53,7 @@ def replay(
     page_at: PageAt = "",
     no_token: NoToken = False,
     avatar: PageAvatar = None,
+    as_json: AsJson = False,
     quiet: Quiet = False,
     trusted_only: TrustedOnly = False,
 ) -> None:
@@ -76,7 +78,7 @@ def replay(
             _take_facts(graph, source.header.get("session") or {}, asked, quiet=quiet)
             return graph
 
-        graph = graph_again(quiet)
+        graph = graph_again(quiet or as_json)
         speaking = _speaking(graph, speak or [])
         shown = (
             page_of(graph, page_at, mode="replay", avatar=avatar, no_token=no_token)
@@ -89,15 +91,37 @@ def replay(
             return Replay(graph, source, speaking=speaking, speed=pace, output=out, strict=verify)
 
         run = replay_of(graph)
-        _tell_missing(run.substitutes)
+        if not as_json:
+            _tell_missing(run.substitutes)
         if shown and isinstance(pace, Pace):
             run, result = _on_page(shown, pace, run, lambda: replay_of(graph_again(True)), quiet)
         else:
             result = _with_progress(run, quiet)
-    _tell(result)
-    if verify and not _same(recorded, result, run, source):
+    if as_json:
+        print_json(_facts_of(result, run.substitutes))
+    else:
+        _tell(result)
+    if verify and not _same(recorded, result, run, source, err=as_json):
         sys.exit(1)
     _check_whole(result, run, source)
+
+
+def _facts_of(result: Replayed, of: Substitutes) -> dict[str, Any]:
+    """How a replay went, for programs."""
+    outputs = {
+        name: {"recorded": recorded, "replayed": replayed, "identical": recorded == replayed}
+        for name, (recorded, replayed) in result.digests.items()
+    }
+    return {
+        "seconds": result.seconds,
+        "took_s": result.took_s,
+        "stopped": result.stopped,
+        "outputs": outputs,
+        "broken": result.broken,
+        "not_recorded": list(of.missing),
+        "from_recording": list(of.taken),
+        "not_computed": list(of.silent),
+    }
 
 
 def _on_page(shown: Any, pace: Pace, run: Replay, again: Callable[[], Replay], quiet: bool) -> tuple[Replay, Replayed]:
@@ -134,13 +158,16 @@ def _check_whole(result: Replayed, run: Replay, source: Recording) -> None:
         raise Incomplete(source.path, result.seconds, source.missing.words)
 
 
-def _same(recorded: list[str], result: Replayed, run: Replay, source: Recording) -> bool:
+def _same(recorded: list[str], result: Replayed, run: Replay, source: Recording, *, err: bool = False) -> bool:
     """Whether every recorded edge was reproduced; says which was not compared, and why some may differ."""
     unseen = _not_compared(recorded, result, run.substitutes)
     for name in unseen:
-        say(f"  {name}: NOT COMPARED: this graph has no such output")
+        say(f"  {name}: NOT COMPARED: this graph has no such output", err=err)
     if (result.differing or unseen) and source.header.get("graph") != run.graph.text:
-        say(f"this graph is not the one that made the recording: `kinegraph info {source.path} --graph` prints it")
+        say(
+            f"this graph is not the one that made the recording: `kinegraph info {source.path} --graph` prints it",
+            err=err,
+        )
     return not (result.differing or result.stopped or result.broken or unseen)
 
 
