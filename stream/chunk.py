@@ -161,7 +161,7 @@ class Chunk(msgspec.Struct, eq=False, gc=False):
     time   (n,) int64    nanoseconds of session time (UTC), one per sample, never decreasing
     data   (n, *shape)   the samples
     until  int           the stream is complete up to and including this time (ns): no later chunk holds a sample at or before it
-    lost   int           how many samples are missing just before this chunk; 0: none, -1: some, nobody knows how many
+    lost   int           how many samples are missing just before this chunk; 0: no sample, -1: an unknown number
 
     A chunk may be empty and still advance `until`; that is how time passes where nothing happens.
     """

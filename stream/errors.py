@@ -1,4 +1,4 @@
-"""What goes wrong, told to the person who can mend it: what was given, where, and what would be accepted."""
+"""Errors for the person who can fix them: what was given, where, and what would be accepted."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     close = get_close_matches(name, names, n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]!r}?"
-    return f"valid are {', '.join(repr(n) for n in names)}" if names else "there are none"
+    return f"valid are {', '.join(repr(n) for n in names)}" if names else "there is nothing to choose from"
 
 
 def explain(error: BaseException) -> str:

@@ -76,7 +76,7 @@ class Bound:
     moves     whether stamps that come out are others than those that came in
     sparse    whether the rate changes: then a chunk of which nothing comes out says nothing
     unusual   whether chunks need more than the kernel, all of them
-    nothing   no samples, and the stamps of none
+    nothing   no samples and no stamps
     rest      what the state is at the beginning
     """
 
@@ -265,7 +265,7 @@ class Filter(SampleWise[S]):
 
 
 def before(until: int, delay_ns: int) -> int:
-    """A promise about the input, as a promise about an output whose stamps are `delay_ns` earlier."""
+    """The input's watermark, moved back by `delay_ns` for the output."""
     return until - delay_ns if NEVER < until < FOREVER else until
 
 

@@ -25,8 +25,8 @@ ANNOTATION = np.dtype([("onset", "<i8"), ("text", "U64")])
 class Annotations(Source):
     """Marks set by a key or a typed word. Every live session has this source, under the name `annotations`.
 
-    One event per mark: `onset` (ns), when its first key was pressed, and `text`, at most 64 characters. A graph whose operators read marks
-    names this source itself, with a shorter `heard_s`: so long do they wait for it.
+    One event per mark: `onset` (ns), when its first key was pressed, and `text`, at most 64 characters. A graph with operators that
+    read marks names this source itself with a shorter `heard_s`, since they wait that long.
     """
 
     background: ClassVar[bool] = True

@@ -39,13 +39,13 @@ class Operator(Generic[S]):
     inputs     names of the input ports; an operator with several gets its samples in global time order (of equal stamps, see `acts`)
     optional   those inputs that a graph may leave unconnected
     variadic   any number of inputs (at least one), named after what they are connected to; `inputs` is then empty
-    outputs    names of the output ports; the first is meant where a graph names none
+    outputs    names of the output ports; the first is the default in a graph
     in_turn    whether samples of several inputs come strictly in global time order, cut wherever another input's is due. Off, for operators
                that wait for `until` in any case (joins): each input's own order, and far fewer pieces. Either way a piece's `until` holds
                for all inputs at once
-    acts       ports whose samples are answered from what the others have said: of equal stamps they come after all others, in this order.
+    acts       ports with samples that trigger output: at equal stamps they come after all others, in this order.
                No answer depends on the order in which `inputs` names the ports (the law "ties")
-    revises    ports whose events change what was reported before, and delay nothing: `check` leaves their own delay out
+    revises    ports with events that revise earlier reports, and delay nothing: `check` leaves their own delay out
     takes      what its ports ask for, where numbers come: "rows" are C-contiguous float64 (n, width), whatever the dtype and shape of a
                sample was; "finite" are rows in which NaN stands for what is not a finite number; "any" is the stream as it is
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
@@ -66,7 +66,7 @@ class Operator(Generic[S]):
     takes: ClassVar[Takes] = "any"
     is_outlet: ClassVar[bool] = False
     contiguous: ClassVar[bool] = False
-    delays: ClassVar[str] = "none"
+    delays: ClassVar[str] = "0"
     references: ClassVar[str] = ""
     exemptions: ClassVar[dict[str, str]] = {}
     panels: ClassVar[Mapping[str, str]] = {}
@@ -94,7 +94,7 @@ class Operator(Generic[S]):
         raise NotImplementedError
 
     def check_session(self, session: Mapping[str, Any]) -> None:
-        """Raise ParameterError where the operator is not for this session, by its facts (subject, side, ...); {} where none are known.
+        """Raise ParameterError if the operator does not fit the session's facts (subject, side, ...); {} if no fact is known.
 
         Called before a session or a replay begins, in a replay with the facts of the recording.
         """

@@ -20,7 +20,7 @@ R = typing_extensions.TypeVar("R", default=None)
 class Outlet(Operator[S], Generic[S, R]):
     """Where streams leave the graph: a file, a network, a screen. It has inputs and no outputs.
 
-    An outlet is silent in replay unless it is asked to speak. It runs on the worker `outlets` unless told otherwise, and when it fails it
+    An outlet is silent in replay unless it is asked to speak. It runs on the worker `outlets` by default, and when it fails it
     is reported and switched off while the graph goes on. `open` only checks and allocates (a graph is opened to be checked, too); what
     touches the world begins in `begin`. Whatever a running outlet needs besides its state (specs, open files, a connection) is
     its `runtime`, of the type that `Outlet[State, Runtime]` names: `set_state` keeps it, and no snapshot has it.
@@ -64,13 +64,13 @@ class Outlet(Operator[S], Generic[S, R]):
         return ""
 
     def meet(self, graph: Graph) -> None:
-        """Told once, before `begin`, which graph this is: its text, its nodes with their parameters and delays, the session's facts."""
+        """Receive the graph, once, before `begin`: its text, its nodes with their parameters and delays, the session's facts."""
 
     def keep_time(self, clock: SessionClock) -> None:
-        """Told once, before `begin`, the clock of a live session; in replay there is none. For outlets whose stamps others read."""
+        """Receive the clock of a live session, once, before `begin`; not called in replay. For outlets with stamps that others read."""
 
     def let_stop(self, stop: Callable[[], None]) -> None:
-        """Told once, before `begin`, how a live session is ended in order, from any thread; in replay it is not."""
+        """Receive a function that ends a live session in order, from any thread; called once, before `begin`, and not in replay."""
 
     def begin(self) -> None:
         """Touch the world: create the file, connect. Called once, after `open` (and `restore`), before any device starts.

@@ -168,7 +168,7 @@ def schema(cls: type[Any]) -> dict[str, Any]:
 
 
 def help_of(cls: type[Any], name: str) -> str:
-    """The line that explains a parameter; "" if there is none."""
+    """The line that explains a parameter, or ""."""
     return next((str(_facts(f).get("description", "")) for f in fields(cls) if f.name == name), "")
 
 
@@ -185,7 +185,7 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
 
 
 def _facts(f: Field[Any]) -> Mapping[str, Any]:
-    """What `param` was told about a field."""
+    """The arguments that `param` got for a field."""
     facts: Mapping[str, Any] = f.metadata.get("kinegraph", {})
     return facts
 
@@ -300,7 +300,7 @@ def _lower(message: str) -> str:
 
 
 class UnknownParameter(ParameterError):
-    """A name that is none. What was given for it is not told: somebody may have written a password there."""
+    """Unknown parameter. Its value is not shown: it may be a password."""
 
     def __init__(self, parameter: str, hint: str) -> None:
         super().__init__(parameter, None, hint)

@@ -1,7 +1,7 @@
 """Where streams begin: the source, and the feed through which it hands over what it reads.
 
 A source reads in a thread of its own, which may block. It is reopened with growing pauses when it raises or falls silent, while the rest
-of the graph goes on; so `read` opens the device, reads until told to stop, and closes it again, whatever happens.
+of the graph goes on; so `read` opens the device, reads until it is stopped, and closes it again, whatever happens.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class outputs_by_parameters:
-    """For a source whose parameters decide which outputs there are: `outputs` is then a method that gives those of an instance.
+    """For a source with outputs that depend on its parameters: `outputs` is then a method.
 
         @outputs_by_parameters("depth", "timing")
         def outputs(self) -> tuple[str, ...]: ...
@@ -58,7 +58,7 @@ class Feed(Protocol):
         """The device is there and set up, though no sample has come yet (the first sample says the same)."""
 
     def listen(self, timeout_s: float) -> str | None:
-        """Wait for a word that a person types for this source while the graph runs; None if none comes."""
+        """Wait for a word that a person types for this source; None after the timeout."""
 
     def identify(self, device: str, **facts: str | float) -> None:
         """Say what was found at the other end: its kind, serial number, firmware, battery. It goes into the log and the recording."""
@@ -142,7 +142,7 @@ class Source:
         return None
 
     def simulated(self) -> AbstractContextManager[Source] | None:
-        """This source as it reads a simulated device, which is there for as long as the context lasts; None: it needs or has none.
+        """This source as it reads a simulated device, which exists as long as the context lasts; None: there is no simulator.
 
         `kinegraph run --simulate` puts it in the source's place. The simulated device speaks the real protocol through the real transport.
         It comes from the entry-point group `kinegraph.simulators`, under the class's dotted path: a function of the source.

@@ -1,4 +1,4 @@
-"""A Bluetooth LE device by name: connected, set up, read until the session ends, told to stop. What all such drivers share."""
+"""A Bluetooth LE device by name: connected, set up, read until the session ends, stopped. What all such drivers share."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from kinegraph.devices.discovery.finders import FoundDevice
 
 
 def find_orbbec() -> Iterator[FoundDevice]:
-    """Every Orbbec camera; none where its library is not installed."""
+    """Every Orbbec camera; nothing if its library is not installed."""
     if find_spec("pyorbbecsdk") is None and not orbbec.simulated:
         return
     for one in orbbec.cameras(orbbec.library()):
@@ -19,7 +19,7 @@ def find_orbbec() -> Iterator[FoundDevice]:
 
 
 def find_realsense() -> Iterator[FoundDevice]:
-    """Every RealSense camera; none where its library is not installed."""
+    """Every RealSense camera; nothing if its library is not installed."""
     if find_spec("pyrealsense2") is None:
         return
     rs = realsense.library()

@@ -89,7 +89,7 @@ class Orbbec(DepthCamera):
     def _missing(self, here: Sequence[Mapping[str, str]]) -> str:
         if any(self.device in ("", one["serial"]) for one in here):
             return ""
-        known = ", ".join(f"{one['name']} {one['serial']}" for one in here) or "none at all"
+        known = ", ".join(f"{one['name']} {one['serial']}" for one in here) or "no others"
         return f"no Orbbec camera {self.device or 'is connected'}; there are {known}"
 
     def _pipeline(self, sdk: Any) -> Any:

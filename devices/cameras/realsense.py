@@ -54,7 +54,7 @@ class RealSense(DepthCamera):
         here = [device.get_info(rs.camera_info.serial_number) for device in rs.context().query_devices()]
         if self.device in here or (here and not self.device):
             return ""
-        return f"no RealSense camera {self.device or 'is connected'}; there are {', '.join(here) or 'none at all'}"
+        return f"no RealSense camera {self.device or 'is connected'}; there are {', '.join(here) or 'no others'}"
 
     @contextmanager
     def opened(self) -> Iterator[OpenCamera]:

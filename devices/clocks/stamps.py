@@ -54,7 +54,7 @@ class Stamps:
 
     @property
     def state(self) -> ClockState | None:
-        """What is known of the device's clock; None where it has none."""
+        """What is known of the device's clock, or None."""
         if self._packets:
             return self._packets.state
         if not self._has_time:
@@ -247,7 +247,7 @@ class Losses:
     def before(
         self, device_ns: int, counter: int | None, arrival_ns: int, restarted: bool = False, *, again: bool = False
     ) -> int:
-        """How many are missing just before this one; -1: nobody knows; REPEATED: it was there already.
+        """How many are missing just before this one; -1: unknown; REPEATED: it was there already.
 
         again  it holds the same as the one before it. With the same time that is a repetition, but where the device's time is too coarse
                to tell two records apart
@@ -273,7 +273,7 @@ class Losses:
         return 0
 
     def _place(self, periods: float, missing: int, restarted: bool) -> int:
-        """Where the record lies among those that have the same time; returns how many had the one before, -1: nobody knows.
+        """Where the record lies among those that have the same time; returns how many had the one before, -1: unknown.
 
         The first time of all may be that of records which came before anybody listened.
         """

@@ -57,8 +57,8 @@ def explain(
     )
     bed = f"the bed was {texts['bed'][place]}" if texts["bed"][place] == "unknown" else f"{texts['bed'][place]} of bed"
     bed = {"in": "in bed", "": ""}.get(str(texts["bed"][place]), bed)
-    if told := ", ".join(part for part in (seen, bed) if part):
-        say(f"{told[0].upper()}{told[1:]}.")
+    if text := ", ".join(part for part in (seen, bed) if part):
+        say(f"{text[0].upper()}{text[1:]}.")
 
 
 def _place(facts: Facts, epochs: LoggedEpochs, when: str) -> int:

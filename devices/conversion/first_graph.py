@@ -143,7 +143,7 @@ def _patterns(channels: Sequence[str]) -> dict[str, str]:
 
 
 def _events(specs: Mapping[str, StreamSpec], side: str, wanted: re.Pattern[str]) -> str:
-    """The stream of one side's contacts of a kind; "" where there is none."""
+    """The stream of one side's contacts of a kind, or ""."""
     for name, spec in specs.items():
         label = str(spec.meta.get("label") or name.rpartition(".")[2].replace("_", " "))
         mine = spec.meta.get("side") or (

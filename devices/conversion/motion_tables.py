@@ -30,7 +30,7 @@ def _c3d(wanted: Export) -> list[Written]:
     markers = [one for one in streams if one.is_markers and one.spec.rate_hz]
     signals = [one for one in streams if one.spec.is_signal and one.spec.rate_hz and len(one.time)]
     if not markers and not signals:
-        raise RecordingError("a C3D file holds markers and signals of a regular rate; there are none")
+        raise RecordingError("a C3D file holds markers and signals of a regular rate; there is nothing of that kind")
     shown = [the_one(markers, "a C3D file", "markers")] if markers else []
     grids = on_grids([*shown, *signals], resample=wanted.resample)
     frame_rate, start, points = (grids[0].rate_hz, grids[0].start, grids[0].data) if shown else _no_points(grids)

@@ -87,7 +87,7 @@ class ImportOptions:
     meta: dict[str, dict[str, Any]] = field(default_factory=dict)
     repeated: bool = False
     begin: int | None = None
-    """When time 0 of the files was (ns UTC); None: nobody said."""
+    """When time 0 of the files was (ns UTC); None: not given."""
     text_width: int | None = None
     """Characters that a marker of an XDF file may have; None: as many as it has."""
     dejitter: bool = True
@@ -96,7 +96,7 @@ class ImportOptions:
     claims: Claims = "warn"
     """What is done where a file claims one thing and holds another: warn of it, refuse the file, or use what was measured."""
     skip_rows: int | None = None
-    """Lines of text files before the header that are passed over; None: nobody said."""
+    """Lines of text files before the header that are passed over; None: not given."""
     untried: bool = False
     """Whether formats are read of which no real file was at hand."""
     preview: bool = False

@@ -50,8 +50,8 @@ class RateMissing(RecordingError):
 class Asked:
     """What somebody says of a file because it does not say it itself.
 
-    rate_hz    of streams without times; None: nobody said
-    unit       of streams without one; "": nobody said
+    rate_hz    of streams without times; None: not given
+    unit       of streams without one; "": not given
     skip_rows  lines before the header that are passed over
     repeated   whether repeated times are accepted
     """

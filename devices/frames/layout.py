@@ -150,7 +150,7 @@ class FrameLayout:
         return self._counter is not None and 1 <= (later - counter) % self.fields[self._counter].turn <= NEAR
 
     def counters(self, table: Array) -> Times | None:
-        """The counter of every frame; None if there is none."""
+        """The counter of every frame, or None."""
         return None if self._counter is None else self._numbers(table, self._counter).astype(np.int64)
 
     def times_ns(self, table: Array) -> Times | None:

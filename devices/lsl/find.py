@@ -41,8 +41,8 @@ class Wanted:
 
     def fits(self, info: Any) -> bool:
         """Whether this is what a stream says of itself."""
-        said = {"name": info.name(), "type": info.type(), "source_id": info.source_id(), "host": info.hostname()}
-        return all(said[key] == value for key, value in self._facts().items())
+        facts = {"name": info.name(), "type": info.type(), "source_id": info.source_id(), "host": info.hostname()}
+        return all(facts[key] == value for key, value in self._facts().items())
 
     def _facts(self) -> dict[str, str]:
         facts = {"name": self.name, "type": self.type, "source_id": self.source_id, "host": self.host}

@@ -127,7 +127,7 @@ def _event_numbers(spec: StreamSpec, fields: tuple[str, ...]) -> Numbers:
 
 
 def _number(spec: StreamSpec, chunk: Chunk, field: str) -> Samples:
-    """A field of events as numbers (n,); a time becomes seconds after the stamp, NaN where there is none."""
+    """A field of events as numbers (n,); a time becomes seconds after the stamp, NaN where unknown."""
     values = chunk.data[field]
     if spec.unit_of(field) != "ns":
         return np.asarray(values, np.float64)

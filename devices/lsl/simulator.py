@@ -128,7 +128,7 @@ class WalkPackets:
 
 
 class Sender:
-    """An outlet at work in a thread, misbehaving as told."""
+    """An outlet at work in a thread, with injected faults."""
 
     def __init__(self, of: Lsl, faults: FaultInjection) -> None:
         self._of, self._walk, self.injector = of, WalkPackets(of), FaultInjector(faults)

@@ -31,7 +31,7 @@ class Mapped:
     """The samples of one read.
 
     time         (n,) session time, ns; later than all before it, and never decreasing
-    gaps         (index, lost) where samples are missing before it; -1: nobody knows how many
+    gaps         (index, lost) where samples are missing before it; -1: unknown
     backwards    how many stamps lay before an earlier one, and were moved to it
     impossible   how many stamps could not be of LSL's clock; their arrival is taken
     shifted_s    by how much stamps are moved from this read on, because they are of another clock; 0.0: no more than before
@@ -187,7 +187,7 @@ class Leaps:
         return True
 
     def before(self, stamp: float, *, pause: bool = False) -> int:
-        """How many samples are missing before the one with this stamp; -1: nobody knows how many."""
+        """How many samples are missing before the one with this stamp; -1: unknown."""
         last, self._last = self._last, stamp
         if last is None or pause:
             self._even_since = stamp

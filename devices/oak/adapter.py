@@ -92,7 +92,7 @@ class Frames:
         return Taken(Chunk(np.array([stamp]), frame, stamp, lost), message.number, message.device, problems)
 
     def _lost_before(self, number: int, problems: list[str]) -> int | None:
-        """How many frames are missing; -1: nobody knows; None: it was there already."""
+        """How many frames are missing; -1: unknown; None: it was there already."""
         last = self._number
         if last is None:
             return 0

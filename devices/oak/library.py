@@ -57,7 +57,7 @@ def missing(seen: Sequence[Any], device: str) -> str:
         return NONE
     if not device or any(device in (i.deviceId, i.name) for i in seen):
         return ""
-    there = ", ".join(i.deviceId or i.name for i in seen) or "none at all"
+    there = ", ".join(i.deviceId or i.name for i in seen) or "no others"
     return f"no OAK camera {device!r} was found (connected: {there}); device is an id, IP address or port"
 
 

@@ -50,7 +50,7 @@ class CsvFile(Outlet[CsvState, CsvRuntime]):
     """A stream or event as CSV: a header with units, then one row per sample, there as soon as its chunk has passed.
 
     Columns: `time (UTC)`, ISO 8601 to the nanosecond; `seconds (s)`, counted from the first row; `lost`, how many samples are missing just
-    before the row (-1: some, nobody knows how many); then the channels or fields. Fields in ns (onset, end) are given in seconds like
+    before the row (-1: unknown); then the channels or fields. Fields in ns (onset, end) are given in seconds like
     `seconds`, and left empty where they are not known (0 or less). Numbers are written so that reading them gives the same bits.
 
     A file is never overwritten unless told; one that a session still writes to is refused. After a crash it is cut back to what the

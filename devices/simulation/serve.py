@@ -1,4 +1,4 @@
-"""A simulated device at the end of its cable, at work in a thread: it listens, speaks as time passes, and misbehaves as told."""
+"""A simulated device at the end of its cable, at work in a thread: it listens, speaks as time passes, and with injected faults."""
 
 from __future__ import annotations
 

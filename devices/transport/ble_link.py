@@ -94,7 +94,7 @@ class BleLink(ClosesAtExit):
         return bytes(self.run(self._client.read_gatt_char(uuid(characteristic))))
 
     def text(self, characteristic: str) -> str:
-        """A text that a characteristic holds; "" where there is none."""
+        """A text that a characteristic holds, or ""."""
         with suppress(DeviceError):
             return self.ask(characteristic).rstrip(b"\0").decode("utf-8", "replace").strip()
         return ""

@@ -1,4 +1,4 @@
-"""A device at the end of a line of bytes: opened, greeted, read until the session ends, told to stop. What all such drivers share."""
+"""A device at the end of a line of bytes: opened, greeted, read until the session ends, stopped. What all such drivers share."""
 
 from __future__ import annotations
 

@@ -103,12 +103,12 @@ def find(address: UsbAddress) -> Any:
 
 
 def serial_number(device: Any) -> str | None:
-    """What the device says is its serial number; "" if it has none, None if it may not be asked."""
+    """What the device says is its serial number, or "", None if it may not be asked."""
     return text_of(device, device.iSerialNumber)
 
 
 def text_of(device: Any, index: int) -> str | None:
-    """One of the device's texts; "" if it has none, None if it may not be asked."""
+    """One of the device's texts, or "", None if it may not be asked."""
     import usb.core
     import usb.util
 

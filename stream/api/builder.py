@@ -170,7 +170,7 @@ class GraphBuilder:
         return graph
 
     def fed_from(self, recorded: Mapping[str, StreamSpec]) -> Graph:
-        """The engine's graph for a recording, whose streams' specs take the places of the sources' own; raises GraphError."""
+        """The engine's graph for a recording; the specs of its streams replace those of the sources. Raises GraphError."""
         return load_text(self.to_yaml(), self.name, path=self._path, recorded=recorded)
 
     def to_yaml(self) -> str:

@@ -14,7 +14,7 @@ class Results(dict[str, Series]):
     The names of parts may be left out where it is plain which output is meant: "cycles.closed" for "leg.cycles.closed".
     A series has `time` (n,) int64 ns, `data` (n, *shape), `lost`, its `spec`, and `to_pandas()`.
 
-    differing   edges that the recording holds too, and that came out differently; of arrays none
+    differing   edges of the recording that came out differently; empty for arrays
     """
 
     differing: tuple[str, ...] = ()

@@ -94,7 +94,7 @@ def replay(
     keep: Iterable[str] = (),
     outlets: Iterable[str] = (),
 ) -> Results:
-    """Run a graph on a recording, whose streams take the places of the sources of the same names.
+    """Run a graph on a recording; its streams replace the sources of the same names.
 
     `Results.differing` names the edges that came out otherwise than they were recorded.
     """

@@ -38,7 +38,7 @@ class ClusterError(KinegraphError):
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """An item whose call did not return: its worker died, or the call raised."""
+    """An item without a result: its worker died, or its call raised."""
 
     error: BaseException
 
@@ -49,7 +49,7 @@ def workers(where: str, count: int, memory_bytes: int, retries: int, folder: Pat
 
     where         "local"; "slurm", "pbs" (dask-jobqueue); or the address of a Dask scheduler
     memory_bytes  what a job may need; a queue is asked for as much for each worker
-    retries       how often a job whose worker died is given to another
+    retries       how often a job is given to another worker after its worker died
     folder        where all workers find the certificates of a queue's batch; its owner's alone
     """
     dask, distributed = _dask()
@@ -79,7 +79,7 @@ def workers(where: str, count: int, memory_bytes: int, retries: int, folder: Pat
 def spread(client: Any, call: Callable[[Item], Any], items: Sequence[Item]) -> Iterator[tuple[Item, Any]]:
     """`call` with each of the items, on workers of a thread each: the items and what came of them, in the order in which they end.
 
-    What came of an item is what the call returned, or what ended it, a `Lost`. AHEAD items wait at the scheduler: none waits at a worker,
+    The result of an item is what its call returned, or a `Lost`. AHEAD items wait at the scheduler and not at a worker,
     to be lost with it; no worker waits for this process; and memory does not grow with the number of items.
     """
     from distributed import as_completed
@@ -106,7 +106,7 @@ def spread(client: Any, call: Callable[[Item], Any], items: Sequence[Item]) -> I
 
 
 def _room(places: int, at_work: int, given: int, total: int) -> int:
-    """How many more items are given to the scheduler: none, or at least half of what may be under way, for each time has its price.
+    """How many more items to submit: 0, or at least half of what may be under way, since each submission has a cost.
 
     The scheduler keeps items back once there were more than two for each place; fewer it would hand to the workers at once.
     """
@@ -165,7 +165,7 @@ def _cluster(distributed: Any, where: str, count: int, memory_bytes: int, folder
 
 
 def _private(distributed: Any) -> Any:
-    """Certificates made for this batch: what listens takes jobs from nobody else."""
+    """Certificates made for this batch: listeners accept jobs only from it."""
     try:
         return distributed.security.Security.temporary()
     except ImportError:

@@ -1,4 +1,4 @@
-"""What a job's results depend on, as one hash: where none of it has changed, they need not be made again."""
+"""One hash of everything a job's results depend on: an unchanged job is not run again."""
 
 from __future__ import annotations
 

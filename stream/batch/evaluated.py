@@ -35,7 +35,7 @@ def compared(
 
     rows   reads a table: results with their references
     words  what the command calls the result, the reference and the table's option: "RESULT", "TRUTH", "--table"
-    holds  what a batch's results are of, and what the table says: "recordings", "which truth is whose"
+    holds  what a batch's results are of, and what the table says: "recordings", "truth of each recording"
     names  what the results are called, where they are no batch's
     """
     estimate, known, option = words

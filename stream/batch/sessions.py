@@ -163,7 +163,7 @@ def settings_of(entry: JobEntry) -> list[str]:
 
 
 def named_in(table: Path, result: Path) -> str:
-    """The recording's name that a table of results holds, whose paths were looked for beside it."""
+    """Name of the recording in a table of results."""
     return str(result.relative_to(table.parent) if result.is_relative_to(table.parent) else result)
 
 

@@ -35,7 +35,7 @@ class BatchState:
     """How a batch stands.
 
     made     jobs done now, by status ("done", "incomplete", "failed")
-    kept     jobs whose results were there, and depend on nothing that has changed
+    kept     jobs with results that are still valid
     failed, incomplete   what failed, and what is of recordings that broke off, done now or before
     left_out  outputs that the graph records and that are in no table, with the reason
     seconds  of recordings replayed now
@@ -130,7 +130,7 @@ def memory_of(common: Common, jobs: Sequence[Job]) -> int:
         with recording:
             here = [common.graph(recording, job.settings) for job in combinations if job.recording == path]
             return WORKER_BYTES + max(plan(graph, enforce=False).memory_bytes + _waiting(graph) for graph in here)
-    raise RecordingError("none of the recordings can be read; `kinegraph info RECORDING` says why")
+    raise RecordingError("no recording can be read; `kinegraph info RECORDING` says why")
 
 
 def number_of_workers(where: str, asked: int, jobs: int, needed: int) -> int:
@@ -151,7 +151,7 @@ def _waiting(graph: Graph) -> int:
 
 
 def _lost(manifest: Manifest, job: Job, error: BaseException) -> JobEntry:
-    """A job whose worker died, which could not write what came of it."""
+    """The entry of a job after its worker died."""
     died = type(error).__name__ == "KilledWorker"
     text = "its worker died while it was at work (killed for memory, or crashed)" if died else f"{error}"
     manifest.forget(job.key)

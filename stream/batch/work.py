@@ -67,7 +67,7 @@ def do(folder: Path, job: Job, *, digest: str = "") -> tuple[JobEntry, bool]:
     """Do a job, unless what its results depend on is as it was: what came of it, and whether it was done now.
 
     What is wrong with a graph, a recording or the disk is in the entry; nothing is raised for it. `digest` is that of the job's batch, ""
-    that of any: a job whose batch has lost the folder to another one fails and writes nothing.
+    that of any: a job fails and writes nothing after another batch took the folder.
     """
     manifest, common, began = Manifest(folder), Common.load(folder), time.monotonic()
     if digest not in ("", common.digest):

@@ -80,7 +80,7 @@ def _main(arguments: list[str]) -> None:
 
 
 def _make_sure_of_outputs() -> None:
-    """A closed output becomes one that nobody reads, and signs that a terminal lacks become question marks, instead of errors."""
+    """Replace a closed output by a null device, and characters that a terminal lacks by question marks."""
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115, PTH123 - for as long as the program runs
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115, PTH123
     for output in (sys.stdout, sys.stderr):
@@ -124,7 +124,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _forget_output() -> None:
-    """Nobody reads standard output any more: what waits for it is dropped, so that the end of the program does not complain."""
+    """Standard output was closed: drop what is buffered, so that the interpreter does not complain at exit."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

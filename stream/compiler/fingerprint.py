@@ -2,7 +2,7 @@
 
 Kernels are cached under it, so an edit recompiles the kernels that it can change and no others, in the file that was edited, too. Names are
 followed to the values that they have when the fingerprint is taken: through functions, kernels, intrinsics and modules, of ours and of a
-user's; constants count by value. What is none of these (a class, an object) counts by the file that it stands in, a library's object
+user's; constants count by value. Anything else (a class, an object) is hashed by its source file, a library's object
 by the file that names it. Of a class files alone count, so that nothing that a program changes while it runs can change the hash.
 """
 
@@ -159,7 +159,7 @@ def _function_in(value: object) -> FunctionType | None:
 def _inside(value: object) -> list[object]:
     """The function in a kernel or intrinsic, or the function itself; of any other object, the constants of its module.
 
-    Names like `__file__` are none of these: where a module's file lies does not count.
+    Names like `__file__` are left out: the path of a module does not matter.
     """
     if (function := _function_in(value)) is not None:
         return [function]

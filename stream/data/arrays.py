@@ -56,7 +56,7 @@ def series(
 
 
 def _gaps(time: Times, spec: StreamSpec) -> Array | None:
-    """How many samples are missing before each (n,), judged by a regular stream's stamps; None: none anywhere."""
+    """How many samples are missing before each (n,), by a regular stream's stamps; None: nothing is missing."""
     if spec.rate_hz is None or len(time) < 2:
         return None
     missing = np.concatenate([[0], np.round(np.diff(time) * (spec.rate_hz / 1e9)).astype(np.int64) - 1])

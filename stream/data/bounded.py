@@ -120,7 +120,7 @@ def arrays(path: Path, wanted: tuple[str, ...] | None = None) -> dict[str, Array
 
 
 def _array(file: IO[bytes], size: int) -> Array:
-    """One array of an NPZ file, whose header may speak of no more than the file holds."""
+    """One array of an NPZ file; its header may not declare more than the file holds."""
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(file)

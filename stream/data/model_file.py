@@ -102,7 +102,7 @@ def write_model(
 
 
 def read_model(path: Path, kind: str, maker: str = "") -> Model:
-    """Read a model of this kind, from a place that nobody else may write; `maker` is the command, if not `motion train KIND`.
+    """Read a model of this kind, from a place that other users cannot write; `maker` is the command, if not `motion train KIND`.
 
     Raises ModelError.
     """
@@ -129,7 +129,7 @@ def read_model(path: Path, kind: str, maker: str = "") -> Model:
 
 
 def _refuse_planted(path: Path) -> None:
-    """A model decides what a session says of people: nobody else may have put it there."""
+    """A model decides what a session reports about people: refuse one that other users could have written."""
     for place in (path.absolute().parent, path):
         try:
             if place.exists() and not (place.is_dir() and place.stat().st_mode & stat.S_ISVTX):

@@ -1,4 +1,4 @@
-"""What operators require of an input stream, told in one way where it is not so."""
+"""Checks of input streams that operators share, with one wording of each error."""
 
 from __future__ import annotations
 

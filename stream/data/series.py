@@ -21,7 +21,7 @@ class Series:
 
     time   (n,) int64 ns, never decreasing
     data   (n, *shape)
-    lost   (n,) int64: samples missing just before each (-1: an unknown number); None: none anywhere
+    lost   (n,) int64: samples missing just before each (-1: an unknown number); None: nothing is missing
     """
 
     name: str

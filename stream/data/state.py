@@ -121,7 +121,7 @@ def _item(hint: Any) -> Any:
 
 
 def _blank(hint: Any) -> Any:
-    """An instance of the dataclass that a type names, with nothing in it yet; None if it names none."""
+    """An empty instance of the dataclass in a type; None for other types."""
     for choice in (hint, *get_args(hint)):
         if isinstance(choice, type) and is_dataclass(choice):
             return object.__new__(choice)

@@ -98,12 +98,12 @@ def read_csv(path: Path, skip_rows: int | None = None) -> dict[str, FileColumn]:
     if any(_is_number(name) for name in header):
         raise RecordingError(
             f"{path}: line {at + 1}: the first line must name the columns, but holds the number {next(filter(_is_number, header))};"
-            " say how many lines to pass over with --skip-rows N (0: none, but there is no header)"
+            " say how many lines to skip with --skip-rows N (0: there is no header)"
         )
     names = [_split(name) for name in header]
     if nameless := [str(i + 1) for i, (name, _) in enumerate(names) if not name]:
         raise RecordingError(
-            f"{path}: line {at + 1}: every column needs a name of its own; number {', '.join(nameless)} has none"
+            f"{path}: line {at + 1}: every column needs a name of its own; number {', '.join(nameless)} has no name"
         )
     names = _numbered(names)
     if units := _units(lines, at + 1, delimiter, len(names)):
@@ -160,7 +160,7 @@ def read_rows(path: Path) -> Array | None:
 
 
 def read_records(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """The rows of a CSV file whose first line names the columns: the line of each, and its cells by name. Raises KinegraphError."""
+    """The rows of a CSV file with a header line: line number, and cells by column name. Raises KinegraphError."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             return list(enumerate(csv.DictReader(file), 2))
@@ -204,7 +204,7 @@ def _by_spaces(lines: list[str], at: int) -> bool:
 
 
 def _units(lines: list[str], at: int, delimiter: str, columns: int) -> list[str]:
-    """The units in a line of short words, one for each column, or blank; [] where the line is none."""
+    """The units in a line of short words, one for each column, or blank; [] for any other line."""
     cells = next(csv.reader([lines[at]], delimiter=delimiter), []) if at < len(lines) else []
     texts = [cell.strip().strip("[]()") for cell in cells]
     words = [cell for cell in texts if cell and cell != "-"]

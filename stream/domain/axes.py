@@ -1,7 +1,7 @@
 """The frame of reference of points, poses and meshes: which axis points up, which way bodies face, and the handedness.
 
 A stream of points declares it in its spec's `meta["axes"]`; the unit of length is the spec's own unit. A stream without it is undeclared:
-recordings of earlier versions, and files whose format does not say it.
+recordings of earlier versions, and files of formats that do not say it.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Axes:
         return (columns[0], columns[1], columns[2]), (signs[0], signs[1], signs[2])
 
     def flipped(self, signs: tuple[float, ...]) -> Axes:
-        """The frame of points whose x, y and z were multiplied by numbers of these signs."""
+        """The frame of points after x, y and z were multiplied by numbers of these signs."""
         sign = {"xyz"[k]: value < 0 for k, value in enumerate(signs)}
 
         def turned(way: str) -> str:
@@ -79,7 +79,7 @@ class Axes:
 
     @staticmethod
     def of(spec: StreamSpec) -> Axes | None:
-        """The frame that a stream declares; None where it declares none."""
+        """The frame that a stream declares, or None."""
         return Axes.from_facts(spec.meta.get("axes"))
 
     @staticmethod

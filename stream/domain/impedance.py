@@ -15,7 +15,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Impedance:
-    """One electrode of a channel: `pole` "+", "-", or "" where there is one only; `ohm` at `hz`, infinite where none seems connected."""
+    """One electrode of a channel: `pole` "+", "-", or "" where there is one only; `ohm` at `hz`, infinite if it seems disconnected."""
 
     channel: str
     pole: str

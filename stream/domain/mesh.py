@@ -60,7 +60,7 @@ class Topology:
 
     @staticmethod
     def of(spec: StreamSpec, port: str = "in") -> Topology:
-        """The mesh whose vertices a stream holds. Raises InputError for any other stream."""
+        """The mesh of a stream of vertices. Raises InputError for any other stream."""
         try:
             facts = spec.meta["mesh"]
             if spec.is_event or len(spec.shape) != 2 or spec.shape[1] != 3:

@@ -132,7 +132,7 @@ def _wrong(g: MotionGraph) -> str:
         if np.any(g.take[at - steps] != g.take[np.minimum(at + steps, n - 1)]):
             return "an edge needs frames beyond the end of a recording"
     lengths = np.linalg.norm(g.poses[:, 3:].reshape(n, -1, 4), axis=2)
-    return "" if np.all(np.abs(lengths - 1.0) < UNIT) else "a pose holds rotations that are none"
+    return "" if np.all(np.abs(lengths - 1.0) < UNIT) else "a pose holds quaternions of another length than 1"
 
 
 def edges_from(model: MotionGraph) -> Times:

@@ -3,7 +3,7 @@
 Every number is in minutes, a count, or a percentage; nothing here knows streams. Unknown epochs enter no numerator; what they leave open
 is given as bounds beside the number: `low` were all of them such that it is smallest, `high` the largest.
 
-It is here because both count by it: the statistics of scored streams, and a night's log, whose epochs outlive a power cut.
+It is here because both count by it: the statistics of scored streams, and a night's log.
 """
 
 from __future__ import annotations

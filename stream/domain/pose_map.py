@@ -50,13 +50,13 @@ class MotionIndex:
     sequences   in the order of their frames
     used        (u,) numbers of the markers that the map is made of
     poses       (n, 3 m) int16 in steps of `step` units; MISSING where not known
-    pca         (n, 2) float32: places; 0, 0 where there is none, since a used marker is not known: its cell is -1
+    pca         (n, 2) float32: places; 0, 0 (and cell -1) where a used marker is missing
     mean, axes  (3 u,), (2, 3 u); explained (2,): shares of the variance
     codes       (rows * columns, 3 u): the pose of each cell, row by row; columns: how many there are
     cell        (n,) int16: the nearest cell of each pose, -1: it has no place; som (n, 2) float32: column and row, between cells
     rank        (n,) uint16: which share of poses, in 65535ths, has an error of at most this one's
     errors      (1024,) quantiles of the quantisation error, from 0 to 1
-    quantisation, topographic   the mean error (unit), and the share of poses whose two nearest cells do not touch
+    quantisation, topographic   the mean error (unit), and the share of poses with two nearest cells that do not touch
     """
 
     markers: tuple[str, ...]

@@ -62,9 +62,9 @@ class IngressPort:
     last       when its last chunk came (monotonic s)
     late       samples dropped because they came too late
     pending_gap what is missing before the next sample, beyond what its chunk says
-    has_readers whether anybody waits for what time brings here; where nobody does, only samples are let in
+    has_readers whether an operator depends on this stream's watermark; if not, only samples enter
     checks_clock whether it is still to be seen to that stamps do not lie ahead of the session's clock
-    follows    whether it is a background stream of a session none of whose sources is live
+    follows    whether it is a background stream of a session without live sources
     gathers    whether its source gathers chunks
     may_join   whether chunks may enter together: when a file's do depends on the data alone
     """
@@ -104,12 +104,12 @@ class IngressPort:
 
     @property
     def expects_data(self) -> bool:
-        """Whether it matters that nothing comes: not of people's words that nobody waits for."""
+        """Whether silence matters: not for typed annotations without a reader."""
         return not self.ended and (self.has_readers or not self.supervisor.source.background)
 
     def nothing_for(self, age_s: float, now: int, report: Callable[..., None]) -> Chunk | None:
         """At `now` (ns), nothing has come for `age_s`. Once that is longer than the stated patience: the chunk that says that nothing
-        happened, so that nobody waits; the alarm is raised after `stale_s`. What waits in the queue has come."""
+        happened, so that readers do not wait; the alarm is raised after `stale_s`. What waits in the queue counts as arrived."""
         options = self.supervisor.node.options
         if not self.expects_data or self.queue.depth:
             return None
@@ -145,13 +145,13 @@ class IngressPort:
 
 
 class DataTime:
-    """Time in a session none of whose sources is live: how far the data have come, which may be faster than the clock, or in another year.
+    """Time in a session without live sources: the time of the data, which may run faster than the clock, or in another year.
 
     Background streams follow it: their samples are stamped with it, and whoever reads them beside data never waits for them longer than
     `FOLLOWED_NS` of data. What they say before the first data waits for these, to be stamped just before them.
 
     newest     up to when the data have come; NEVER: nothing has come yet
-    followers  the background streams; none: some source is live, and time is the clock's
+    followers  the background streams; empty: a source is live, and time is the clock's
     """
 
     __slots__ = ("_due", "_early", "clock", "followers", "newest")
@@ -171,7 +171,7 @@ class DataTime:
         return self.newest if self.newest != NEVER else self.clock.now()
 
     def passes(self, port: IngressPort, until: int) -> bool:
-        """Whether a chunk up to `until` enters alone: data, and nothing is due to be said to the followers. Notes how far the data come."""
+        """Whether a chunk up to `until` enters alone: it is data, and no follower is due. Advances the time of the data."""
         if port.follows or until > self._due:
             return False
         if until > self.newest:
@@ -200,7 +200,7 @@ class DataTime:
         yield port, chunk, arrival
 
     def early(self, before: int) -> Iterator[tuple[IngressPort, Chunk, int]]:
-        """What was said before there were data, stamped just `before` these, one after the other."""
+        """Followers' chunks that arrived before the first data, stamped just `before` these, one after the other."""
         while self._early:
             port, chunk, arrival = self._early[0]
             yield port, followed(chunk, port.watermark, before - len(self._early)), arrival
@@ -414,7 +414,7 @@ class Ingress:
                     token.owner(item[0], perf_counter_ns())
 
     def excuse_pause(self, now: float, held_s: float) -> None:
-        """The graph was held up for `held_s`: that is no silence of the sources, whose chunks may come just after."""
+        """The graph was held up for `held_s`: do not count that as silence of the sources."""
         for supervisor in self._supervisors:
             supervisor.last_alive = min(supervisor.last_alive + held_s, now)
         for port in self.ports:
@@ -435,13 +435,13 @@ class Ingress:
         self._slot.port = None
 
     def _check_silence(self, port: IngressPort, age_s: float) -> None:
-        """After the stated patience, say that nothing happened, so that nobody waits; after `stale_s`, raise the alarm."""
+        """Advance silent streams after their patience, so that readers do not wait; raise the alarm after `stale_s`."""
         if (chunk := port.nothing_for(age_s, self.time.now(), self._log.report)) is not None:
             self._log.enter(port.number, chunk, self._clock.now())
             port.edge.send(chunk, perf_counter_ns())
 
     def end(self) -> None:
-        """Every source has ended, whether it has said so or not."""
+        """End every stream, also those that sources left open."""
         for entry in self.time.early(self._clock.now()):
             self._admit(*entry)
         for port in self.ports:
@@ -451,7 +451,7 @@ class Ingress:
     @property
     def watermarks(self) -> dict[str, Any]:
         """Up to when each stream is complete."""
-        return {port.stream: int(port.watermark) for port in self.ports}  # a source may have said it in numpy's
+        return {port.stream: int(port.watermark) for port in self.ports}  # a source may have set it as a numpy integer
 
 
 def _dropped(session_log: SessionLog, stream: str) -> Callable[[int, int], None]:
@@ -545,7 +545,7 @@ def _gathering(
         return True
 
     def enter(came: int) -> None:
-        """What is gathered, and waits before it, enters where nobody else has the turn."""
+        """Let the queued and gathered chunks enter if no other thread has the turn."""
         nonlocal since, pauses
         if not turn.lock.acquire(False):
             return
@@ -565,7 +565,7 @@ def _gathering(
         since = came
 
     def cease(chunk: Chunk, came: int) -> bool:
-        """What is gathered waits in the queue before this chunk, if nobody has taken it."""
+        """Move what is gathered into the queue before this chunk, unless it was taken."""
         port.gathers = False
         supervisor.inline[port.output] = take
         return not gathered and take(chunk, came)

@@ -87,7 +87,7 @@ class Replayed:
 
     @property
     def differing(self) -> list[str]:
-        """Edges whose replayed samples are not those recorded."""
+        """Edges with replayed samples that differ from those recorded."""
         return [name for name, (recorded, replayed) in self.digests.items() if recorded != replayed]
 
 
@@ -98,7 +98,7 @@ class Replay:
     speed      how many times real time; None: as fast as it goes; or a `Pace`, which others may change meanwhile
     output     record the graph's edges again, into this file or folder
     strict     look at every chunk whether it keeps its node's promises
-    view       shows the replay's metrics; None: nobody does
+    view       shows the replay's metrics; None: no view
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Replay:
             self.pace.stop()
 
     def observe(self, edge: str, observer: Observer) -> None:
-        """Give every chunk of an edge that the graph computes to `observer`; to be said before `run`."""
+        """Pass every chunk of a computed edge to `observer`; call it before `run`."""
         self.pipeline.edges[edge].observers.append(observer)
 
     def run(self, progress: Callable[[float], None] = lambda done_s: None) -> Replayed:

@@ -1,6 +1,6 @@
 """A live session: devices, the graph's turn, the session log, and a clean end whatever happens.
 
-One thread at a time runs the graph: it has the turn. What a source brings while nothing waits and nobody has the turn is worked through at
+One thread at a time runs the graph: it has the turn. What a source brings while nothing waits and the turn is free is worked through at
 once, on the source's own thread; that saves waking another, which costs more than most graphs' work. Everything else goes through the
 queues to the thread that called `Session.run`: it waits on one ready queue, takes the next chunk of any source, enters it into the input
 log and pushes it through the pipeline; several times a second it looks after the sources. Either way the order of entry is the log's order,

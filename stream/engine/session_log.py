@@ -39,7 +39,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class Loss:
-    """What a stream or queue has lost since it was last told on the screen.
+    """What a stream or queue has lost since the last report on the screen.
 
     next    when it may be reported again (monotonic s)
     facts   of the first of these losses
@@ -111,7 +111,7 @@ class PriorSession:
         return self.recording.last_samples(edge) if edge in self.recording.streams else 0
 
     def recorded_through(self, edge: str) -> int:
-        """The place in the input log of the last input of which an edge's answer is recorded; -1: of none."""
+        """Index in the input log of the last input with a recorded answer on an edge; -1: no input."""
         return self.recording.streams[edge].last_sequence if edge in self.recording.streams else -1
 
 
@@ -225,7 +225,7 @@ class SessionLog:
             self.recorder.idle_hint()
 
     def report(self, kind: str, **facts: Any) -> None:
-        """Something worth knowing happened: into the recording, and to the log, which nobody may read any more."""
+        """Write an event into the recording and the log."""
         if self.recorder:
             self.recorder.log(kind, self._clock.now(), **facts)
         if kind in LOSSES:
@@ -237,7 +237,7 @@ class SessionLog:
             tell(kind, **facts)
 
     def asked_to_end(self, by: str) -> None:
-        """A signal did, if any: so that nobody wonders later why a session is short. A time limit around it sends one, too."""
+        """Record the signal that ended the session, if any: it explains a short recording. A time limit sends a signal, too."""
         if by:
             with suppress(OSError, ValueError):  # there may be no terminal any more
                 self.report("asked to end", by=by)
@@ -261,7 +261,7 @@ class SessionLog:
 
     def checkpoint(self, promised: dict[str, int], indices: dict[str, int], pipeline: Pipeline) -> None:
         """Keep the state as it is now; it is copied here and written in the background. The first one is waited for, for a moment at
-        most: nobody opens files beside the first samples then."""
+        most: no file is opened beside the first samples then."""
         assert self._checkpoints
         now, graph = self._clock.now(), fingerprint(self._graph.text)
         kept = Checkpoint(self.sequence, now, graph, promised, indices, pipeline.snapshot())

@@ -158,7 +158,7 @@ class Outcome:
     table       the last metrics
     seconds     from the common opening of the devices to their end
     files       what outlets have left, by node
-    compiled    kernels that were compiled while running; there should be none
+    compiled    kernels that were compiled while running; it should be 0
     missing     what was offered and not delivered, in words, by outlet and source, and for "recording"
     """
 
@@ -177,7 +177,7 @@ SPARE_BYTES, GIVEN_BACK_S = 256 << 10, 60.0
 
 
 class MemoryWatch:
-    """Whether a session takes more memory than it may, and whose state has grown since it began. What is merely free is given back."""
+    """Checks a session's memory against its limit, and finds the node with the fastest growing state. Returns free memory to the system."""
 
     def __init__(self, memory_mb: float, pipeline: Pipeline) -> None:
         self._most, self._stages = ceiling(memory_mb), pipeline.stages
@@ -195,7 +195,7 @@ class MemoryWatch:
         return self._error(held) if 0 < self._most < held else None
 
     def of(self, error: Exception) -> Exception:
-        """What ended the session: a want of memory is reported as such, with whose state has grown; any other error stays as it is."""
+        """The error that ended the session; a lack of memory names the node with the largest growth."""
         return self._error(taken()) if isinstance(error, MemoryError) else error
 
     def _held_by_each(self) -> dict[str, int]:

@@ -28,7 +28,7 @@ class FromRecording(Source):
 class Substitutes:
     """What is missing in a recording, for one graph.
 
-    missing   source outputs whose images were not kept, and which are read
+    missing   source outputs that have readers, but no recorded images
     taken     edges that are taken from the recording instead of being computed
     idle      nodes that are not computed: per node, the outputs of theirs that exist (taken from the recording)
     """
@@ -74,7 +74,7 @@ class Substitutes:
 
     @contextmanager
     def at_work(self, pipeline: Pipeline) -> Iterator[dict[str, LiveEdge]]:
-        """Within: the edges that take chunks from the recording, by edge. What their own nodes emit meanwhile is heard by nobody."""
+        """Within: the edges that take chunks from the recording, by edge. The output of their own nodes is ignored meanwhile."""
         twins: dict[str, LiveEdge] = {}
         for name in self.taken:
             edge = pipeline.edges[name]

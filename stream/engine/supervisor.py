@@ -26,7 +26,7 @@ LONGEST_PAUSE_S = 10.0
 STEADY_S = 10.0
 """A source that ran for this long is given the first pause again."""
 UNAWAITED_S = 60.0
-"""A source that only listens for words need not say more often that there was none, where nobody waits for it."""
+"""How often a source that only listens for typed words emits an empty chunk, if no reader waits for it."""
 GRACE_S = 2.0
 """How long a source that must stop may take before its thread is given up."""
 FIRST_WORDS_S = 1.0
@@ -147,9 +147,9 @@ class SourceSupervisor:
     sound      per output, what tells whether a chunk can be taken as it is
     has_readers whether anybody waits for what this source says
     now        session time, as the source sees it
-    live       whether what it gives is gone if nobody reads it
+    live       whether its data are lost if they are not read
     problems   what the source counted, by kind
-    clock_facts   what it said last of its device's clock
+    clock_facts   its last report on its device's clock
     openings   how often the source was opened
     """
 

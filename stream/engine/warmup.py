@@ -47,7 +47,7 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
     """Compile (or load from the cache) all kernels of a graph, and the engine's own.
 
     `stopped` is asked between two nodes. Raises GraphError where an operator breaks its specs' promises, Interrupted once `stopped`: a
-    compiler may make another error of Ctrl-C, or none.
+    compiler may turn Ctrl-C into another error, or swallow it.
     """
     timing = Timing()
     timing.durations.append(1)
@@ -175,7 +175,7 @@ def made_up(spec: StreamSpec, n: int, seed: int = 0) -> tuple[Any, Any]:
 
 
 def check_promises(node: Node, promised: dict[str, StreamSpec], emitted: Emitted) -> None:
-    """Raise GraphError where what an operator gave back is not what its `open` said."""
+    """Raise GraphError if an operator's output differs from what its `open` declared."""
     if emitted is None:
         return
     pairs = [(next(iter(promised)), emitted)] if isinstance(emitted, Chunk) else emitted

@@ -16,7 +16,7 @@ Policy = Literal["block", "drop_oldest", "fail"]
 class FullQueue(Protocol):
     """What a policy may do with the queue before which it stands.
 
-    closed   nobody reads from it in earnest any more: nobody waits and nothing is dropped
+    closed   its readers have gone: writers do not wait, and nothing is dropped
     """
 
     name: str
@@ -31,7 +31,7 @@ class FullQueue(Protocol):
 
 
 LIVE_BYTES, OTHER_BYTES, LEAST_CHUNKS = 16 << 20, 4 << 20, 8
-"""A queue whose writer waits is full at this size, in sessions with live sources and in others, once it has that many chunks: 256 images
+"""A queue of policy `block` is full at this size, in sessions with live sources and in others, once it has that many chunks: 256 images
 take more memory than all that works on them. Nothing is lost by waiting; a queue that drops or fails has its count of chunks alone."""
 
 
@@ -48,7 +48,7 @@ def held_bytes(chunks: int, chunk_bytes: int, bound: int) -> int:
 
 
 OnFull: TypeAlias = Callable[[FullQueue, Chunk, int], bool]
-"""Told of a chunk and its arrival; returns whether the chunk waits now in the place of another. If not, it is left behind the others."""
+"""Called with a chunk and its arrival; returns whether the chunk replaces a waiting one. If not, it waits behind the others."""
 
 
 def block(queue: FullQueue, chunk: Chunk, arrival: int) -> bool:

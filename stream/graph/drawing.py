@@ -77,6 +77,6 @@ def _numbered(graph: Graph) -> tuple[dict[str, Node], list[tuple[str, str, str]]
 
 
 def shown(graph: Graph) -> list[Node]:
-    """The nodes that a reader wants to see: all, but for an implicit source that nobody reads."""
+    """The nodes that a reader wants to see: all but an implicit source without readers."""
     read = {edge.node for node in graph.nodes.values() for edge in node.inputs.values()}
     return [node for node in graph.nodes.values() if node.line or node.name in read]

@@ -1,6 +1,6 @@
-"""Code beside a graph: imported for nodes that name it and for what that imports itself, from files that nobody else may write.
+"""Code beside a graph: imported for nodes that name it and for what that imports itself, from files that other users cannot write.
 
-Nobody else finds it. A library that tries whether another one is installed does not run a file of that name beside a graph; with
+Other imports do not find it. A library that tries whether another one is installed does not run a file of that name beside a graph; with
 `--trusted-only` nothing does.
 """
 
@@ -20,7 +20,7 @@ from kinegraph.stream.system.file_permissions import refuse_shared
 WHY = "what a graph runs"
 _IMPORT = ("<frozen importlib", importlib.__file__)
 _NAMERS = (str(Path(__file__).with_name("components.py")),)
-"""The files whose code imports what a graph names."""
+"""The modules that may import code beside a graph."""
 
 folders: list[str] = []
 """The graph's own folder, and the one that the command was called in; those that are on Python's search path in any case are left out."""
@@ -54,7 +54,7 @@ def _places(spec: ModuleSpec) -> list[Path]:
 
 
 def _checked(spec: ModuleSpec | None) -> ModuleSpec | None:
-    """The spec, if nobody else may write what it runs: the file, what Python compiled it to, and their folders."""
+    """The spec, if other users cannot write what it runs: the file, what Python compiled it to, and their folders."""
     if spec is None:
         return None
     compiled = [Path(spec.cached)] if spec.cached else []

@@ -55,7 +55,7 @@ class NodeOptions:
 
 @dataclass(frozen=True, slots=True)
 class NodeDeclaration:
-    """What an operator or outlet said of itself when it was opened to be checked; nothing of a source.
+    """What an operator or outlet declared when it was opened for the check; empty for a source.
 
     delay_s, decision_s  as passed to `set_state`
     memory_bytes         what its state takes at the start
@@ -158,7 +158,7 @@ class Graph:
     recorded_in: str = ""
     """The folder or file that this run is being recorded in; "" where it is not."""
     imported: tuple[str, ...] = ()
-    """The files that this recording was imported from; none if a session left it."""
+    """The files that this recording was imported from; empty for a session."""
 
     def spec(self, edge: Edge) -> StreamSpec:
         return self.nodes[edge.node].specs[edge.output]
@@ -210,7 +210,7 @@ class RecordingOptions:
 
 
 def is_live(graph: Graph) -> bool:
-    """Whether a source, not a person, gives what is gone if nobody reads it. Then an outlet may not make the graph wait."""
+    """Whether a source other than typed input is live: its data are lost if they are not read, so an outlet may not block the graph."""
     for node in graph.sources:
         assert isinstance(node.part, Source)
         with blaming(node.name, "live"):

@@ -37,7 +37,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The slowest way from a source to a node whose output nobody reads.
+    """The slowest path from a source to a node without readers.
 
     A result stands `delay_s` after what it describes: the chunk that the source fills, then the sum of what the operators on the way
     look ahead or smooth. An operator with several inputs waits for the slowest of them, so ways that meet are equally late.
@@ -150,7 +150,7 @@ def _paths(graph: Graph, steps: dict[str, Step]) -> Iterator[Path]:
 
 
 def _decisions(graph: Graph, steps: dict[str, Step]) -> Iterator[Decision]:
-    """Of every output whose operator says when its events come."""
+    """The decision delay of every output that declares one."""
     late: dict[str, float] = {}
     found: dict[Edge, Decision] = {}
     for node in graph.nodes.values():

@@ -91,7 +91,7 @@ def gaps(trial: Conformance) -> None:
         outputs = run.outputs.values()
         after = sum(int((o.time > middle).sum()) for o in outputs)
         if after and "gaps" not in trial.excused and not any(o.pending_gap or any(o.lost) for o in outputs):
-            raise Broken("gaps", f"{after} samples come after the silence, none of them says that anything is lost")
+            raise Broken("gaps", f"{after} samples come after the silence, and all of them have lost=0")
         if hasattr(trial.case.operator, "reset_gap_s") and "reset" not in trial.excused:
             _restarts(trial, run, tapes, middle)
 

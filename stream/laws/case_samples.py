@@ -19,7 +19,7 @@ Draw: TypeAlias = Callable[[int, int], int]
 class CaseSamples:
     """All samples of one input.
 
-    time  (n,) int64, data (n, *shape); lost (n,) int64: how many samples are missing just before each (-1: nobody knows)
+    time  (n,) int64, data (n, *shape); lost (n,) int64: how many samples are missing just before each (-1: an unknown number)
     """
 
     spec: StreamSpec
@@ -100,7 +100,7 @@ def _later(tape: CaseSamples, since: int, shift: int) -> CaseSamples:
 
 
 def pause(tapes: Tapes, at: int, shift: int, *, known: bool = False, marked: bool = False) -> Tapes:
-    """From `at` on everything happens `shift` ns later. Regular streams say that samples are missing there; `told`: all streams do.
+    """Shift everything from `at` on by `shift` ns. Regular streams mark the missing samples there; `marked`: all streams do.
 
     known   they say how many, where that is a whole number
     """

@@ -22,7 +22,7 @@ PERIODS = 1.0
 def lags(trial: Conformance) -> dict[str, float]:
     """Seconds from an impulse to the centre of what it leads to, by outputs' stamps, where that is more than a sample.
 
-    Only for an operator of one regular input and regular outputs of as many numbers, whose answer to an impulse goes one way.
+    Only for an operator of one regular input and regular outputs of the same width, with an impulse response of one sign.
     """
     tapes = list(trial.tapes.items())
     if len(tapes) != 1 or not tapes[0][1].spec.period_ns or not tapes[0][1].is_float:

@@ -163,7 +163,7 @@ class Conformance:
 
 
 def trials(cls: type[Operator[Any]]) -> list[Callable[[], Conformance]]:
-    """What makes a trial of each case of a class; raises `Broken` where it has none."""
+    """What makes a trial of each case of a class; raises `Broken` if it has no case."""
     try:
         cases = list(cls.cases())
     except KinegraphError:
@@ -171,7 +171,7 @@ def trials(cls: type[Operator[Any]]) -> list[Callable[[], Conformance]]:
     except Exception as error:
         raise Broken("cases", f"cases() raised {type(error).__name__}: {error}") from error
     if not cases:
-        raise Broken("cases", f"{cls.__name__} has none")
+        raise Broken("cases", f"{cls.__name__} has no cases")
     return [lambda case=case: Conformance(case) for case in cases]  # type: ignore[misc]
 
 

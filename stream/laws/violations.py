@@ -20,7 +20,7 @@ RULES: dict[str, Rule] = {
     "cases": Rule(
         0,
         "every operator brings cases that it can be tried on, and enough comes out of them",
-        "give the class a classmethod `cases` whose samples fill every window; `least` says how many outputs must come",
+        "give the class a classmethod `cases` with samples that fill every window; `least` says how many outputs must come",
     ),
     "runs": Rule(
         0,
@@ -35,7 +35,7 @@ RULES: dict[str, Rule] = {
     "ties": Rule(
         1,
         "equal stamps on several inputs give the same, whatever order the ports are named in",
-        "name in `acts` the ports whose samples are answered from what the others have said, or act once `until` has passed the stamp",
+        "name in `acts` the ports with samples that trigger output, or act once `until` has passed the stamp",
     ),
     "replay": Rule(
         2,
@@ -78,7 +78,7 @@ RULES: dict[str, Rule] = {
     "time": Rule(
         5,
         "where only time passes, the output's `until` passes with it",
-        "answer an empty chunk with an empty chunk whose `until` is the input's less the delay",
+        "answer an empty chunk with an empty chunk that has the input's `until` less the delay",
     ),
     "channels": Rule(
         6,
@@ -95,7 +95,7 @@ RULES: dict[str, Rule] = {
     "gaps": Rule(
         6,
         "what is lost in the input is reported as lost in the output",
-        "pass `lost` on (-1: unknown) with the first output after the gap, on an empty chunk if there is none yet",
+        "pass `lost` on (-1: unknown) with the first output after the gap, on an empty chunk if there is no output yet",
     ),
     "reset": Rule(
         6,

@@ -1,4 +1,4 @@
-"""Folders and files whose content is run or believed: refused where somebody else may write them, for anything could be planted there."""
+"""Refuses folders and files that are run or trusted if other users can write them: anything could be planted there."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def machine() -> int:
     for path in map(Path, _LIMITS):
         try:
             whole = min(whole, int(path.read_text()))
-        except (OSError, ValueError):  # there is none, or it says "max"
+        except (OSError, ValueError):  # there is no limit, or it says "max"
             continue
     return whole
 
@@ -64,7 +64,7 @@ def refused_beyond(ceiling_bytes: int) -> Iterator[None]:
 
 @contextmanager
 def limited(room: int) -> Iterator[None]:
-    """Within: this process gets `room` more bytes of memory to write to, and no more; on Linux, and where nobody else has set a limit."""
+    """Within: this process gets `room` more bytes of memory to write to, and no more; on Linux, unless a limit was set already."""
     if resource is None or not sys.platform.startswith("linux"):
         yield
         return

@@ -42,7 +42,7 @@ def calm() -> Iterator[None]:
 
 def let_others_go_on() -> None:
     """When the calling thread wakes, it waits for a processor of its own, or for the end of another thread's turn; its share of time is as
-    before, for it may hold the interpreter's lock. Only where the system supports it, and nobody has chosen otherwise."""
+    before, for it may hold the interpreter's lock. Only if the system supports it and the user has not set it otherwise."""
     if hasattr(os, "SCHED_BATCH") and os.sched_getscheduler(0) == os.SCHED_OTHER:
         with suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

@@ -46,7 +46,7 @@ class Parameters:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def number(self, group: str, name: str) -> float:
-        """A parameter's first number, NaN where there is none."""
+        """A parameter's first number, NaN where unknown."""
         found = self.numbers(group, name)
         return float(found[0]) if len(found) else np.nan
 

@@ -39,7 +39,7 @@ def _biosignals(wanted: Export, *, wide: bool) -> list[Written]:
     streams = gather(wanted)
     signals = [one for one in streams if one.spec.is_signal and one.spec.rate_hz and len(one.time)]
     if not signals:
-        raise RecordingError("an EDF file holds signals of a regular rate; there are none")
+        raise RecordingError("an EDF file holds signals of a regular rate; there is nothing of that kind")
     with complete(wanted.place) as draft:
         _write(draft, signals, [one for one in streams if one.spec.is_event], wanted, wide=wide)
     for one in streams:
@@ -171,7 +171,9 @@ def _bids(wanted: Export) -> list[Written]:
         and set(one.spec.units) <= set(VOLTAGES)
     ]
     if not markers and not emg:
-        raise RecordingError("a BIDS study of motion or EMG takes markers, or signals in V, mV or uV; there are none")
+        raise RecordingError(
+            "a BIDS study of motion or EMG takes markers, or signals in V, mV or uV; there is nothing of that kind"
+        )
     events = [one for one in streams if one.spec.is_event]
     written: list[Written] = []
     for number, one in enumerate(markers):

@@ -143,14 +143,14 @@ def read_layout(path: Path) -> EdfFile:
 def _read_records(path: Path, made: EdfFile, whole: bytes, columns: dict[str, list[str]], sizes: list[int]) -> None:
     width = 3 if made.is_bdf else 2
     start, record = HEAD * (len(sizes) + 1), sum(sizes) * width
-    told = _count(path, made, "number of records")
+    result = _count(path, made, "number of records")
     there = (len(whole) - start) // record if record else 0
-    if told > there:
-        raise RecordingError(f"{path}: {told} records are announced, {there} are there; the file was cut off")
-    if told < 0:  # as it stands while a recording runs
+    if result > there:
+        raise RecordingError(f"{path}: {result} records are announced, {there} are there; the file was cut off")
+    if result < 0:  # as it stands while a recording runs
         made.doubt("the number of its records is not stated: it was not closed properly; all that are there are read")
-        told = there
-    body = np.frombuffer(whole, np.uint8, told * record, start).reshape(told, record)
+        result = there
+    body = np.frombuffer(whole, np.uint8, result * record, start).reshape(result, record)
     at = 0
     for k, size in enumerate(sizes):
         part = body[:, at * width : (at + size) * width]

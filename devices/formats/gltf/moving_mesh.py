@@ -76,7 +76,7 @@ class Animation:
 
 @dataclass(frozen=True, slots=True)
 class MovingMesh:
-    """The meshes of a scene, one after the other: `parents` of all nodes (-1: none), those of the scene in `order`, parents first."""
+    """The meshes of a scene, one after the other: `parents` of all nodes (-1: empty), those of the scene in `order`, parents first."""
 
     nodes: list[dict[str, Any]]
     parents: list[int]

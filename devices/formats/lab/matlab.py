@@ -40,7 +40,7 @@ def read_arrays(path: Path) -> dict[str, Array]:
 
 
 def rate_of(arrays: dict[str, Array], name: str) -> float | None:
-    """The one number called a rate that stands beside an array, else in the structure around it; None if there is none, or several."""
+    """The one number called a rate that stands beside an array, else in the structure around it, or None, or several."""
     inside = name
     while inside:
         inside = inside.rpartition(".")[0]

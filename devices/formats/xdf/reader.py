@@ -65,9 +65,9 @@ def read_xdf(
     Raises RecordingError.
     """
     with reading(path, "an XDF file"):
-        told = Doubts(path, claims, doubts if doubts is not None else [])
-        found, head = _load(path, dejitter=dejitter, synchronize=synchronize, told=told)
-        return _chosen(path, found, head, streams, text_width, start_ns, told)
+        result = Doubts(path, claims, doubts if doubts is not None else [])
+        found, head = _load(path, dejitter=dejitter, synchronize=synchronize, doubts_found=result)
+        return _chosen(path, found, head, streams, text_width, start_ns, result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def _chosen(
     streams: dict[str, str],
     text_width: int | None,
     start_ns: int | None,
-    told: Doubts,
+    doubts_found: Doubts,
 ) -> list[Series]:
     found = [s for s in found if int(s["info"]["channel_count"][0]) > 0]
     named = _named(found)
@@ -100,18 +100,18 @@ def _chosen(
     for name in chosen.values():
         if name not in named:
             raise RecordingError(f"{path}: there is no stream {name!r} in this file; {nearest(name, named)}")
-    picked = _readable(path, {name: named[key] for name, key in chosen.items()}, told)
+    picked = _readable(path, {name: named[key] for name, key in chosen.items()}, doubts_found)
     anchor = _anchor(path, list(picked.values()), head, start_ns)
-    return [_series(name, stream, anchor, text_width, told) for name, stream in picked.items()]
+    return [_series(name, stream, anchor, text_width, doubts_found) for name, stream in picked.items()]
 
 
-def _readable(path: Path, streams: dict[str, dict[str, Any]], told: Doubts) -> dict[str, dict[str, Any]]:
+def _readable(path: Path, streams: dict[str, dict[str, Any]], doubts_found: Doubts) -> dict[str, dict[str, Any]]:
     """The streams whose stamps are times of one epoch, that of most samples; the others are left out by name."""
     bad = {n for n, s in streams.items() if not (np.abs(np.asarray(s["time_stamps"], float)) <= MOST_NS / NS).all()}
     if bad and len(bad) == len(streams):
         raise RecordingError(f"{path}: stream {min(bad)!r} holds times that are not numbers; the file is damaged")
     for name in sorted(bad):
-        told.find(f"stream {name!r} is left out: it holds times that are not numbers")
+        doubts_found.find(f"stream {name!r} is left out: it holds times that are not numbers")
     timed = {n: s for n, s in streams.items() if n not in bad and len(s["time_stamps"])}
     main = max(timed.values(), key=lambda s: (bool(_declared(s)), len(s["time_stamps"])), default=None)
     for name, stream in timed.items():
@@ -120,7 +120,7 @@ def _readable(path: Path, streams: dict[str, dict[str, Any]], told: Doubts) -> d
         apart = max(first - float(np.max(main["time_stamps"])), float(np.min(main["time_stamps"])) - last)
         if apart > EPOCH_S:
             bad.add(name)
-            told.find(
+            doubts_found.find(
                 f"stream {name!r} is left out: its times are of another epoch, from {first:.0f} s on, where "
                 f"{main['info']['name'][0]!r} begins at {float(np.min(main['time_stamps'])):.0f} s; read it alone with --stream"
             )
@@ -145,7 +145,7 @@ def _measured(seconds: Samples, declared: float) -> float | None:
 
 
 def _load(
-    path: Path, *, dejitter: bool, synchronize: bool, told: Doubts
+    path: Path, *, dejitter: bool, synchronize: bool, doubts_found: Doubts
 ) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
     import pyxdf
 
@@ -166,7 +166,7 @@ def _load(
         streams, head = pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=False)
         if dejitter:
             even, _ = pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=True)
-            streams = [_evened(raw, other, told) for raw, other in zip(streams, even, strict=True)]
+            streams = [_evened(raw, other, doubts_found) for raw, other in zip(streams, even, strict=True)]
     except RecordingError:
         raise
     except Exception as error:  # noqa: BLE001 - of a damaged file pyxdf raises whatever comes up
@@ -178,7 +178,7 @@ def _load(
     return streams, head
 
 
-def _evened(raw: dict[str, Any], even: dict[str, Any], told: Doubts) -> dict[str, Any]:
+def _evened(raw: dict[str, Any], even: dict[str, Any], doubts_found: Doubts) -> dict[str, Any]:
     """The stream with even stamps, unless evening would move samples by more than jitter does."""
     before, after = np.asarray(raw["time_stamps"], float), np.asarray(even["time_stamps"], float)
     if not len(before) or not np.isfinite(before).all() or not _declared(raw):
@@ -186,7 +186,7 @@ def _evened(raw: dict[str, Any], even: dict[str, Any], told: Doubts) -> dict[str
     moved = float(np.abs(after - before).max())
     if moved <= JITTER_S:
         return even
-    told.find(
+    doubts_found.find(
         f"stream {raw['info']['name'][0]!r}: its stamps are not evened out, which would move samples by {moved:.1f} s: they leap, or "
         "blocks of them are out of order; they are kept, in the order of time"
     )
@@ -213,7 +213,7 @@ def _named(streams: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def _text(element: Any, *path: str) -> str:
-    """The text below nested XML elements as pyxdf gives them (each a list of one); "" where there is none."""
+    """The text below nested XML elements as pyxdf gives them (each a list of one), or ""."""
     for name in path:
         element = element.get(name) if isinstance(element, dict) else None
         element = element[0] if isinstance(element, list) and element else element
@@ -236,7 +236,7 @@ def _anchor(path: Path, streams: Sequence[dict[str, Any]], head: dict[str, Any] 
     return round(moment.timestamp()) * NS - first
 
 
-def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | None, told: Doubts) -> Series:
+def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | None, doubts_found: Doubts) -> Series:
     info = stream["info"]
     seconds = np.asarray(stream["time_stamps"], np.float64)
     time = np.round(seconds * NS).astype(np.int64) + anchor
@@ -248,16 +248,18 @@ def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | No
     channels = _channel_facts(info)
     meta = {"xdf_type": _text(info, "type"), "source_id": _text(info, "source_id")}
     if _text(info, "channel_format") == "string":
-        return _markers(told.path, name, stream, time, order, [label for label, _ in channels], meta, text_width)
+        return _markers(
+            doubts_found.path, name, stream, time, order, [label for label, _ in channels], meta, text_width
+        )
     data = np.ascontiguousarray(np.asarray(stream["time_series"])[order])
     rate = _declared(stream)
     measured = _measured(seconds[order], rate) if rate else None
     if measured is not None:
-        told.find(
+        doubts_found.find(
             f"stream {name!r} declares {rate:g} Hz, its samples come at {measured:g} Hz: filters would be off by a factor of "
             f"{rate / measured:.3g}; nothing is called lost; read it at its own rate with --claims measured"
         )
-        rate = measured if told.claims == "measured" else rate
+        rate = measured if doubts_found.claims == "measured" else rate
     labels = tuple(label for label, _ in channels)
     spec = StreamSpec(
         shape=data.shape[1:],
@@ -267,7 +269,7 @@ def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | No
         units=_units([unit for _, unit in channels]),
         meta=meta,
     )
-    believed = rate and (measured is None or told.claims == "measured")
+    believed = rate and (measured is None or doubts_found.claims == "measured")
     return Series(name, spec, time, data, _lost(time, rate) if believed else None)
 
 

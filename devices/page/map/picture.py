@@ -72,7 +72,7 @@ def points(index: MotionIndex) -> bytes:
 
 
 def cells(index: MotionIndex) -> bytes:
-    """Per cell: how many poses of each sequence it has, its spread, its mean pose, and some of its poses (NaN where there are none)."""
+    """Per cell: how many poses of each sequence it has, its spread, its mean pose, and some of its poses (NaN where unknown)."""
     count, m, sequences = len(index.codes), len(index.markers), len(index.sequences)
     good = index.cell >= 0
     belongs = np.repeat(np.arange(sequences), [s.last - s.first for s in index.sequences])

@@ -161,7 +161,7 @@ def _cell(row: dict[str, str], name: str) -> str:
 
 
 def read_map(folder: Path) -> Samples | None:
-    """The night's motion map (rows, columns); None where there is none."""
+    """The night's motion map (rows, columns), or None."""
     try:
         return np.asarray(np.load(folder / MAP, allow_pickle=False), np.float64)
     except (OSError, ValueError):

@@ -91,7 +91,7 @@ def render(
 
 
 def _figures(facts: Facts, epochs: LoggedEpochs, motion: Samples | None, failed: dict[str, str]) -> dict[str, str]:
-    """The figures of the page as SVG, each by itself; "" where there is none."""
+    """The figures of the page as SVG, each by itself, or ""."""
     from kinegraph.devices.reports.night import figures
 
     made = {"night": "", "map": ""}

@@ -39,11 +39,11 @@ def check(specs: Specs) -> None:
 
 def final(row: Any) -> dict[str, Any]:
     """What a final epoch says."""
-    said = {
+    facts = {
         "onset": iso(int(row["onset"])), "end": iso(int(row["end"])), "state": str(row["state"]), "rescored": int(row["rescored"]),
         "score": number(row["score"]), "activity": number(row["activity"]),
     }  # fmt: skip
-    return said | reason(row) if "cause" in row.dtype.names else said
+    return facts | reason(row) if "cause" in row.dtype.names else facts
 
 
 def reason(row: Any) -> dict[str, Any]:

@@ -103,13 +103,13 @@ def wakings(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str, str]]:
     """When somebody was awake in bed, how long, and the reason of the epoch with the highest score there."""
     if not (epochs.texts["cause"] != "").any():
         return []
-    zone, told = night_zone(facts), []
+    zone, result = night_zone(facts), []
     for first, stop in runs((epochs.texts["state"] == "wake") & (epochs.texts["bed"] != "out")):
         score = epochs.numbers["score"][first:stop]
         top = first + int(np.nanargmax(score)) if np.isfinite(score).any() else first
         span = f"{clock(int(epochs.onset[first]), zone):%H:%M} – {clock(int(epochs.end[stop - 1]), zone):%H:%M}"
-        told.append((span, _long((stop - first) * facts.epoch_s / 60), reason(facts, epochs, top)))
-    return told
+        result.append((span, _long((stop - first) * facts.epoch_s / 60), reason(facts, epochs, top)))
+    return result
 
 
 def _long(minutes: float | None) -> str:

@@ -44,7 +44,7 @@ def batch(
     workers: Annotated[
         int, typer.Option(help="jobs at the same time; 0: one for each core, as far as the memory goes", min=0)
     ] = 0,
-    retries: Annotated[int, typer.Option(help="how often a job whose worker died is tried again", min=0)] = 1,
+    retries: Annotated[int, typer.Option(help="how often a job is tried again after its worker died", min=0)] = 1,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="do again what is done already")] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,

@@ -16,7 +16,7 @@ from kinegraph.stream.errors import KinegraphError, nearest
 from kinegraph.stream.text.safe_text import say
 
 UNATTENDED_S = 30.0
-"""How long a demo runs that nobody can end."""
+"""How long a demo runs where it cannot be stopped."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 

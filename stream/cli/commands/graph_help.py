@@ -19,7 +19,7 @@ COMMANDS = ("run", "replay", "check", "draw")
 
 
 def settings_help(command: str, arguments: Sequence[str]) -> str:
-    """The settings of the graph that the arguments name, one a line; empty where they name none."""
+    """The settings of the graph that the arguments name, one a line; empty without a graph."""
     if command not in COMMANDS:
         return ""
     named = next((resolve(Path(a)) for a in arguments if not a.startswith("-") and resolve(Path(a)).is_file()), None)

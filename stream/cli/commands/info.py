@@ -82,7 +82,7 @@ def _stream_facts(stream: RecordedStream) -> dict[str, Any]:
 
 
 def devices(recording: Recording) -> dict[str, dict[str, Any]]:
-    """By source: what it said last of its device, {"device": kind, "serial": ..., "firmware": ...}."""
+    """By source: its last report on its device, {"device": kind, "serial": ..., "firmware": ...}."""
     entries = [entry for entry in recording.log if entry["kind"] == "device"]
     hidden = ("time", "kind", "node", "level")
     return {str(e.get("node")): {k: v for k, v in e.items() if k not in hidden} for e in entries}

@@ -48,7 +48,7 @@ def replay(
     ] = False,
     page: Annotated[
         bool,
-        typer.Option("--page", help="show the replay in a browser, at --speed 1 unless it is said; prints the address"),
+        typer.Option("--page", help="show the replay in a browser, at --speed 1 by default; prints the address"),
     ] = False,
     page_at: PageAt = "",
     no_token: NoToken = False,
@@ -138,7 +138,7 @@ def _on_page(shown: Any, pace: Pace, run: Replay, again: Callable[[], Replay], q
 
 
 def _recorded(source: Recording, path: Path, verify: bool) -> list[str]:
-    """The outputs of a graph that the recording holds. Raises KinegraphError where there are none to verify."""
+    """The outputs of a graph that the recording holds. Raises KinegraphError if there is nothing to verify."""
     found = [name for name, stream in source.streams.items() if stream.role == "edge"]
     if verify and not found:
         raise KinegraphError(

@@ -206,7 +206,7 @@ def _screen(view: str, graph: Any) -> Any:
 
 
 def page_of(graph: Graph, *address: str, name: str = "page", **more: str | Path | bool | None) -> Any:
-    """The page of a graph; it comes from the entry-point group `kinegraph.pages`. Raises KinegraphError where there is none."""
+    """The page of a graph; from the entry-point group `kinegraph.pages`. Raises KinegraphError if no package provides one."""
     for entry in entry_points(group="kinegraph.pages", name=name):
         return loaded(entry, "page")(graph, *address, **more)
     raise KinegraphError("no page is installed: `pip install kinegraph` has one")

@@ -146,8 +146,8 @@ def followed(chunk: Chunk, watermark: int, newest: int) -> Chunk:
 
 def joins(until: int, chunk: Chunk) -> bool:
     """Whether a chunk may enter together with those before it, complete up to `until`: no answer depends on how samples come in chunks, and
-    what each chunk costs is so paid once for all. Not where something is said between them: a gap, a sample that comes too late, that none
-    came, the end."""
+    what each chunk costs is so paid once for all. Not across a gap, a
+    late sample, an empty chunk or the end."""
     time = chunk.time
     if chunk.lost or not len(time) or chunk.data.nbytes > JOINED_BYTES:
         return False

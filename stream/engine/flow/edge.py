@@ -240,7 +240,7 @@ def given(port: str, chunk: Chunk) -> str:
 
 def nonsense(node: str, emitted: object, outputs: Iterable[str], error: Exception) -> RunError:
     """What it means that an operator gave back something that cannot be sent on."""
-    named = ", ".join(map(repr, outputs)) or "none"
+    named = ", ".join(map(repr, outputs)) or "no output"
     return RunError(
         f"node {node!r}: gave back a {type(emitted).__name__} that cannot be sent on ({explain(error)}); an operator gives back a Chunk,"
         f" pairs of an output and a Chunk, or nothing; its outputs: {named}"

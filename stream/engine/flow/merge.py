@@ -44,7 +44,7 @@ class Merge:
         self._start = [0] * n
         """How many samples of each port's first pending chunk have gone out."""
         self._next = [FOREVER] * n
-        """The stamp of each port's next sample; FOREVER where none is pending."""
+        """The stamp of each port's next sample; FOREVER if nothing is pending."""
         self._stamps: list[list[int]] = [[] for _ in range(n)]
         """The stamps of each port's first pending chunk, once it had to be cut."""
         self._until = [NEVER] * n

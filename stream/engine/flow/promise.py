@@ -1,4 +1,4 @@
-"""What a node promises of its outputs, and what is said where it gives something else.
+"""What a node promises about its outputs, and the error where it breaks a promise.
 
 Shape, dtype and watermark of every new chunk are checked while a graph runs, where a chunk enters an edge; the ends of its stamps where
 the recorder or an outlet reads the edge, or an operator from outside our packages feeds it. What is common is checked in the code of
@@ -31,7 +31,7 @@ class PromiseError(RunError):
 
 
 def broken(spec: StreamSpec, chunk: Chunk, promised: int) -> str:
-    """What is wrong with the shape, dtype or watermark of a chunk; "" if nothing. `told` is the watermark so far."""
+    """What is wrong with the shape, dtype or watermark of a chunk; "" if nothing. `promised` is the watermark so far."""
     time, data, until = chunk.time, chunk.data, chunk.until
     if not isinstance(time, np.ndarray) or time.dtype != np.int64 or time.ndim != 1:
         return f"{_kind(time)} stamps; stamps are (n,) int64"

@@ -136,7 +136,7 @@ class BoundedQueue:
         items = []
         while (item := self.take()) is not None:
             items.append(item)
-        with self._lock:  # so that its writer moves none of them into the queue meanwhile; what it gathers further is left to the next time
+        with self._lock:  # so that its writer cannot move them into the queue meanwhile; what it gathers later waits for the next call
             if self.waiting or not self.gathered:
                 return items
             take = self.gathered.popleft

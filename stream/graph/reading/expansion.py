@@ -1,4 +1,4 @@
-"""Parts of graphs: a node whose `use` is a YAML file is replaced by the nodes of that file, under dotted names ("left.envelope").
+"""Parts of graphs: a node that uses a YAML file is replaced by the nodes of that file, under dotted names ("left.envelope").
 
 What comes out is a plain graph, which is what runs and what a recording keeps. A name in a part is one of its inputs, of its nodes or,
 for the sources that every graph has, of the graph's. "left.closed" outside the part `left` is its output `closed`, or else its node of
@@ -103,7 +103,7 @@ class _Expansion:
                 continue
             other = scope.parts.get(at.value) if isinstance(at.value, str) else None
             if other is None:
-                text = "a list in a part's 'from' names parts, whose outputs feed the inputs of the same names, or {input: edge}"
+                text = "a list in a part's 'from' names parts (their outputs feed the inputs of the same names), or {input: edge}"
                 self._problems.add(f"{text}; {nearest(str(at.value), scope.parts)}", at, part.name)
                 continue
             for name in [name for name in part.inputs if name not in named]:

@@ -130,7 +130,7 @@ def load_text(
 class RecordedPage:
     """What the graph of a recording says of its page.
 
-    parts    the classes of its nodes, as far as they are ours or registered (`stream.graph.components.registered`); none is made or opened
+    parts    the classes of its nodes, as far as they are ours or registered (`stream.graph.components.registered`); no instance is made
     reads    the outputs that each of these nodes reads
     options  the section `page`
     """

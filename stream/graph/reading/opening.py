@@ -1,4 +1,4 @@
-"""Nodes opened in the order in which samples pass: every spec agreed on, every fault told at the node that has it."""
+"""Nodes opened in the order in which samples pass: specs are checked along the way, and each error names its node."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class _Opening:
                 del wires[port]
                 continue
             if edge.output not in self.nodes[edge.node].specs:
-                has = ", ".join(map(repr, sorted(self.recorded or ()))) or "none"
+                has = ", ".join(map(repr, sorted(self.recorded or ()))) or "nothing"
                 text = f"the recording lacks the stream {str(edge)!r}, which is read here; it has {has}"
                 self.problems.add(text, at, draft.name)
                 return None
@@ -156,7 +156,7 @@ class _Opening:
 
 
 def _recorded(draft: Draft, recorded: Mapping[str, StreamSpec]) -> Specs:
-    """The recorded specs of a source; an output that was not recorded has none."""
+    """The recorded specs of a source; an output that was not recorded is left out."""
     specs: Specs = {}
     for output in draft.outputs or ():
         for name in (str(Edge(draft.name, output)), f"{draft.name}.{output}"):

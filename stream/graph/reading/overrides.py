@@ -61,7 +61,7 @@ def placed(root: Located, overrides: Mapping[str, Any], known: Iterable[str]) ->
 
 
 def _setting(name: str, settings: Mapping[str, GraphSetting], known: Iterable[str]) -> GraphSetting | None:
-    """The setting of this name, or the one of a single part ("left.cutoff_hz") whose last word it is."""
+    """The setting of this name, or the only one ("left.cutoff_hz") that ends in it."""
     if name in settings or "." in name or name in known:
         return settings.get(name)
     outer = [whole for whole in settings if whole.rpartition(".")[2] == name]
@@ -77,7 +77,7 @@ def _in_a_part(name: str, top: Mapping[str, Any], nodes: Mapping[str, Any]) -> s
 
 
 def _parameters(node: Located) -> list[str]:
-    """The names of a node's parameters; none where its class cannot be had, which the loader reports."""
+    """The names of a node's parameters; empty if its class cannot be imported, which the loader reports."""
     use = dict(node.items()).get("use")
     try:
         return [one.name for one in fields(find(str(use.value)))] if use else []  # type: ignore[arg-type]

@@ -197,7 +197,7 @@ class PartReader:
                 add(f"{name!r} belongs to the graph; a part reads it without a node of its own", part.nodes[name])
 
     def _feed(self, scope: Scope, name: str, setting: GraphSetting, given: Located | None) -> None:
-        """Write a setting's value, or its default where the parameter has none, into the parameters that it feeds."""
+        """Write a setting's value, or its default if the parameter has no value, into the parameters that it feeds."""
         section = scope.top["settings"].items()[name]
         if given is not None and (why := setting.refusal(name, given.plain())):
             self._problems.add(why, given, scope.name)

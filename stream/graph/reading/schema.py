@@ -232,7 +232,7 @@ def docstring_lines(doc: str, names: list[str]) -> dict[str, str]:
 
 
 def unit_of(name: str) -> str:
-    """The unit in which a parameter of this name is given; empty if its name says none."""
+    """The unit in which a parameter of this name is given; empty if its name has no unit."""
     parts = name.split("_")
     return next((UNITS[end] for n in (2, 1) if len(parts) > n and (end := "_".join(parts[-n:])) in UNITS), "")
 

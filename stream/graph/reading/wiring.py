@@ -46,7 +46,7 @@ class Wiring:
         return Edge(name, output if dot else outputs[0])
 
     def _node(self, text: str) -> str:
-        """The node in "node.output": the one whose name the text is, or begins with; no node's name begins with another's and a dot."""
+        """The node in "node.output": its name is the text, or the part before a dot; no node name is a prefix of another."""
         name = text
         while name not in self._outputs and "." in name:
             name = name.rpartition(".")[0]

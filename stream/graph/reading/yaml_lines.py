@@ -65,7 +65,7 @@ class Located:
         return self.value
 
     def items(self) -> dict[str, Located]:
-        """The entries of a mapping; none for anything else."""
+        """The entries of a mapping; empty for anything else."""
         return self.value if isinstance(self.value, dict) else {}
 
     @property

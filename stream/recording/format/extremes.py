@@ -27,7 +27,7 @@ def runs(time: Times, width: int) -> int:
 
 @kernel
 def extremes(data: Array, time: Times, width: int, pieces: Times, low: Rows, high: Rows) -> None:
-    """The least and the greatest finite value of each of the `runs`; NaN where there is none. What float32 cannot hold is not finite.
+    """The minimum and maximum finite value of each of the `runs`, or NaN. What float32 cannot hold counts as not finite.
 
     data    (n, c)  numbers
     time    (n,)    their stamps

@@ -58,7 +58,7 @@ def encode_image(stamp: int, index: int, frame: Array) -> bytes:
 
 
 def decode_image(body: memoryview) -> tuple[int, memoryview]:
-    """A frame's cumulative index, and its samples. Raises RecordingError where it is none of ours."""
+    """A frame's cumulative index, and its samples. Raises RecordingError for any other format."""
     index, data = -1, None
     for number, value in wire_fields(body):
         if number == INDEX and isinstance(value, int):

@@ -6,7 +6,7 @@ Each file of a recording ends with one MCAP attachment per signal, which other r
     float32 (n, channels) least values | float32 (n, channels) greatest values; NaN: no finite value
 
 Piece k lasts from k to k + 1 times `width_ns` since 1970; pieces without a sample are not there. A file of before, or of a killed process,
-has none: it has to be read as a whole.
+has no overview: it has to be read as a whole.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Rows: TypeAlias = NDArray[np.float32]
 
 
 def width_of(spec: StreamSpec) -> int:
-    """How long a piece of a stream's overview is (ns); 0: it has none. It pays for itself where a piece holds many samples."""
+    """Length of a piece of a stream's overview (ns); 0: no overview. It pays for itself where a piece holds many samples."""
     if not spec.is_signal or not spec.period_ns or prod(spec.shape) > MOST_CHANNELS or spec.dtype.kind not in "fiu":
         return 0
     width = max(LEAST_WIDTH_NS, 1 << (SAMPLES_IN_A_PIECE * spec.period_ns - 1).bit_length())
@@ -151,7 +151,7 @@ def unpack(data: bytes, spec: StreamSpec) -> Overview:
         raise ValueError("an overview of another size")
     pieces = np.frombuffer(data, "<i8", n, end).astype(np.int64)
     if (np.diff(pieces) <= 0).any():
-        raise ValueError("an overview whose pieces are out of order")
+        raise ValueError("the pieces of an overview are out of order")
     low, high = np.frombuffer(data, "<f4", 2 * n * channels, end + 8 * n).astype(np.float32).reshape(2, n, channels)
     gaps = [(int(a), int(b)) for a, b in facts["gaps"][:MOST_GAPS]]
     np.array(gaps, np.int64)  # raises OverflowError for what is no stamp

@@ -23,7 +23,7 @@ class RecordedStream:
     dropped           samples that the recorder itself had to drop because the disk was slow or full
     begin, end        cumulative index of the first recorded sample and of the one after the last
     until             up to where the stream is known to be complete
-    last_sequence     the last chunk's place in the input log; -1: none
+    last_sequence     the last chunk's index in the input log; -1: no chunk
     last_arrival      the last chunk's arrival (ns)
     """
 

@@ -15,7 +15,7 @@ from kinegraph.stream.recording.read.recorded_file import RecordedFile
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """What is known to be missing of a recording; what was written after that, if anything, nobody can know.
+    """What is known to be missing of a recording; what was written after that, if anything, is unknown.
 
     bytes      at the end of a file that belong to no whole record
     seconds    from the last input that can be read to the latest that is known to have been written: by the times in a record that
@@ -56,9 +56,9 @@ def missing_after(part: RecordedFile, *, last: bool) -> Missing | None:
 def missing_of(parts: Sequence[RecordedFile], *, open_end: bool = False, from_start: bool = False) -> Missing | None:
     """What is missing of a recording of these files; None where nothing is.
 
-    A file that breaks off costs nothing where the next one goes on with the very next sample of every stream: so a resumed session
-    does, and a recorder whose file could not grow. `open_end`: a further file had been begun, and holds nothing. `from_start`: the first
-    file is that of the session's start, unless it was deleted or moved.
+    A file that breaks off costs nothing if the next one continues with the next sample of every stream, as after a resumed session or
+    a file that could not grow. `open_end`: a further file had been begun, and holds nothing. `from_start`: the first file is that of the
+    session's start, unless it was deleted or moved.
     """
     found = missing_after(parts[-1], last=True) or (Missing() if open_end else None)
     ends: dict[str, int] = {}

@@ -133,7 +133,7 @@ class Recording:
                 yield from (entry.chunk for entry in MessageReader().read(part, name, body, frames))
 
     def overviews(self, name: str) -> list[Overview] | None:
-        """What the recorder saw of a signal from afar, of each part that holds any of it; None where one of them has none."""
+        """What the recorder saw of a signal from afar, of each part that holds it; None if a part has no overview."""
         found = [part.overview(name) for part in self.parts if (s := part.streams.get(name)) and s.samples]
         return [seen for seen in found if seen] if found and all(found) else None
 

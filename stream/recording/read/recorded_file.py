@@ -60,7 +60,7 @@ class RecordedFile:
             self._scan()
 
     def _read_header(self) -> dict[str, Any]:
-        """The session's facts; none where they are damaged, and damage is forgiven."""
+        """The session's facts; empty if they are damaged and damage is forgiven."""
         path = str(self.file.path)
         try:
             head = self.file.header()

@@ -117,7 +117,7 @@ class FileSegment:
             os.fsync(self._file)
 
     def _check_place(self) -> None:
-        """Raises DisturbedError where another program has deleted, moved or cut the file: what would be written now, nobody finds."""
+        """Raises DisturbedError if another program has deleted, moved or cut the file: what is written now would be lost."""
         if not self.path.exists():
             raise DisturbedError(errno.ENOENT, "the file was deleted or moved", str(self.path))
         if os.fstat(self._file).st_size < self._written:

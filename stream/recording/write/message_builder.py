@@ -18,7 +18,7 @@ ROW = struct.Struct("<5q").pack
 """A chunk in a message's table: samples, until, lost, arrival, sequence."""
 MOST_BYTES = 1 << 62
 HELD_BYTES = 1 << 14
-"""Samples of a computed edge with more bytes are held until they are written, not copied: nobody writes to them again."""
+"""Samples of a computed edge with more bytes are held until they are written, not copied: they never change again."""
 
 
 class MessageBuilder:
@@ -57,7 +57,7 @@ class MessageBuilder:
 
     def add(self, chunk: Chunk, n: int, size: int, arrival: int, sequence: int, *, owned: bool = False) -> None:
         """Take a further chunk of `n` samples and `size` bytes; raises ValueError or TypeError for one that is not of the stream's
-        spec. `owned`: no source knows its memory, and nobody writes to it any more."""
+        spec. `owned`: no source shares its memory, and it never changes again."""
         time, data = chunk.time, chunk.data
         if n != self._rows or data.shape != self._shape or data.dtype is not self._dtype or time.dtype is not INT:
             time, data = self._conformed(time, data)

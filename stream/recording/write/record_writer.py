@@ -31,7 +31,7 @@ class RecordWriter:
     """Makes messages of what was gathered, and writes them.
 
     done    up to which arrival everything is on the disk (ns); 0: nothing has come yet
-    error   what the disk last said, while it refuses; "" when all is well
+    error   the disk's last error, while it refuses; else ""
     """
 
     def __init__(

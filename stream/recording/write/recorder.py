@@ -38,7 +38,7 @@ class Recorder:
 
     What the disk does not take within `queue_bytes` of memory is dropped and counted; the status and the log say so. With `wait`
     (offline work: an import, a replay to a file) nothing is dropped: the writer waits instead, and the layout depends on the data alone.
-    With `waits` (a session whose sources can wait) it waits too, unless the disk refuses for some seconds.
+    With `waits` (a session with sources that can wait) it waits too, unless the disk refuses for some seconds.
     """
 
     def __init__(

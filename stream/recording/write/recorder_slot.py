@@ -22,7 +22,7 @@ class RecorderStatus:
     bytes      written to the disk, all parts together
     behind_s   session time between the newest chunk handed over and the newest one written
     dropped    chunks that were not recorded because the disk was slow or full, by stream
-    error      what the disk last said, while it refuses; "" when all is well
+    error      the disk's last error, while it refuses; else ""
     missing    once it is closed: what is missing because somebody deleted, moved or cut its files
     """
 

@@ -13,7 +13,7 @@ ROOM = 20_000
 
 @dataclass(slots=True)
 class CycleStore:
-    """rows (20000, 2 + k): cycle's number (-1: none), muscle, and k values, a ring; seen: in all."""
+    """rows (20000, 2 + k): cycle's number (-1: empty), muscle, and k values, a ring; seen: in all."""
 
     rows: Samples
     seen: int

@@ -162,7 +162,7 @@ class Curves:
     single     (k, 100, m)  some of the single cycles, evenly chosen
     active     (100, m)     in which share of the cycles each muscle was active
     stages     (s, 100, m)  mean curves of each stage
-    norms      (2, 100, m)  normative bands, low and high; NaN where a muscle has none
+    norms      (2, 100, m)  normative bands, low and high; NaN for a muscle without them
     """
 
     mean: Samples

@@ -29,7 +29,7 @@ def page_of(given: str, graph: Graph | None, node: str) -> Path:
 
 
 def recording_of(graph: Graph | None) -> str:
-    """What the recording is called that a report is about: the one replayed, else the one being made; "" if there is none."""
+    """What the recording is called that a report is about: the one replayed, else the one being made, or ""."""
     return graph.replays or Path(graph.recorded_in).name if graph else ""
 
 

@@ -52,7 +52,7 @@ class Tally:
     groups           the same by limb and by stage;  peaks: mixtures of activation peaks
     typed            what a person said during the session
     each_burst       every burst of the latest cycles;  frequencies: each cycle's median frequency;  slopes (m,): the latest, %/min
-    norms            (2, 100, m) normative bands, low and high; NaN where there are none
+    norms            (2, 100, m) normative bands, low and high; NaN where unknown
     """
 
     started: int
