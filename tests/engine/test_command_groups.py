@@ -124,6 +124,13 @@ def test_help_loads_no_command_of_a_group(group: list[str]) -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_what_draws_reports_and_compiles_is_loaded_when_it_is_used() -> None:
+    heavy = "print([m for m in ('numpy', 'numba', 'matplotlib', 'jinja2', 'pandas') if m in sys.modules])"
+    code = f"import sys, kinegraph as kg; {heavy}; kg.load('treadmill_emg').check(); {heavy}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["[]", "['numpy', 'numba']"]
+
+
 def test_the_help_of_a_group_is_not_cut_off_and_fits_the_terminal(
     kinegraph: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
