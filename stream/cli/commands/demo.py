@@ -72,8 +72,9 @@ def demo(
 ) -> None:
     """Show a simulated session in the browser: treadmill, night, avatar or repetitions.
 
-    It runs until Ctrl-C, and (all but repetitions) loses data on purpose. Then the page stays, with the report, until the next Ctrl-C. It is recorded like
-    any session. With --for, or where standard input or output is no terminal (there it runs for 30 s), it ends with the session.
+    It runs until Ctrl-C, and all but `repetitions` lose data on purpose. Then the page stays, with the report, until the next Ctrl-C. It
+    is recorded like any session. With --for, or where standard input or output is no terminal (there it runs for 30 s), it ends with the
+    session.
     """
     from kinegraph.stream.cli.commands import logs
     from kinegraph.stream.graph.plan import plan
