@@ -236,6 +236,10 @@ def _notebook(path: Path) -> str:
         source = "".join(cell["source"])
         out.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
         for result in cell.get("outputs", ()):
-            text = "".join(result.get("text", ()) or result.get("data", {}).get("text/plain", ()))
+            shown = result.get("data", {})
+            if "image/png" in shown:
+                out.append(f"![what the cell draws](data:image/png;base64,{''.join(shown['image/png']).strip()})")
+                continue
+            text = "".join(result.get("text", ()) or shown.get("text/plain", ()))
             out += [f"```text\n{text.rstrip()}\n```"] if text else []
     return "\n\n".join(out)

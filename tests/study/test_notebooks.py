@@ -26,7 +26,7 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
     shutil.copy(path, tmp_path)
     book = nbformat.read(tmp_path / path.name, as_version=4)
-    assert not [cell for cell in book.cells if cell.get("outputs")], "notebooks are kept without outputs"
+    assert [cell for cell in book.cells if cell.get("outputs")], "notebooks are kept with their outputs"
     client = nbclient.NotebookClient(book, timeout=240, resources={"metadata": {"path": str(tmp_path)}})
     client.execute()  # raises where a cell fails
     shown = [
