@@ -121,6 +121,16 @@ def test_no_page_for_users_holds_a_long_table_of_measurements() -> None:
             )
 
 
+def test_every_file_that_the_pages_on_extension_name_is_there() -> None:
+    for page in (HOUSE / "docs" / "extend").glob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        named = re.findall(r"`((?:stream|devices|operators|configs|tests)/[\w./]+?)/?`", text)
+        assert [name for name in named if not (HOUSE / name).exists() and "NAME" not in name] == [], page.name
+        for name in re.findall(r"^\| ((?:`[\w/.]+\.py`(?:, )?)+) \|", text, re.MULTILINE):
+            for file in re.findall(r"`([^`]+)`", name):
+                assert (HOUSE / "stream" / "engine" / file).exists(), f"{page.name}: {file}"
+
+
 def test_every_graph_that_a_page_names_by_its_file_is_one_that_the_page_writes() -> None:
     """Shipped graphs are named as outside a checkout: `kinegraph run NAME`."""
     for page in USER_PAGES:
