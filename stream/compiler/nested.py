@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, cast
+from typing import Any
 
 from numba.core import compiler, dispatcher, types
 from numba.core.codegen import JITCodeLibrary
@@ -31,43 +31,59 @@ def _shorten_errors() -> None:
             template._overload_func = staticmethod(lambda *_: None)
 
 
-class _Library(JITCodeLibrary):
-    """A function and those that it calls, to be linked into another library: neither optimised as a whole nor compiled to machine code."""
+class _CalleeLibrary(JITCodeLibrary):
+    """A function to be linked into another library: neither optimised as a whole nor compiled to machine code."""
 
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
+    def finalize(self) -> None:
         self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
         self._finalized = True
 
 
+class _Library(JITCodeLibrary):
+    """The machine code of a kernel and of all that it calls."""
+
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)  # type: ignore[no-untyped-call]
+        self.enable_object_caching()  # type: ignore[no-untyped-call]
+
+    def add_linking_library(self, library: Any) -> None:
+        if library not in self._linking_libraries:
+            super().add_linking_library(library)  # type: ignore[no-untyped-call]
+            if isinstance(library, _CalleeLibrary):
+                for below in library._linking_libraries:
+                    self.add_linking_library(below)
+
+
 class _Compiler(_FunctionCompiler):  # type: ignore[misc]
-    def _compile_core(self, args: Any, return_type: Any) -> Any:
+    def _compile(self, library: Any, args: Any, return_type: Any, **options: bool) -> Any:
         flags: Any = _numba.Flags()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
-        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
-        context = self.targetdescr.target_context
-        library = cast(Any, _Library)(context.codegen(), self.py_func.__qualname__)
-        made = _numba.compile_extra(
+        for name, value in options.items():
+            setattr(flags, name, value)
+        return _numba.compile_extra(
             self.targetdescr.typing_context,
-            context,
+            self.targetdescr.target_context,
             self.py_func,
             args=args,
             return_type=return_type,
             flags=flags,
             locals=self.locals,
-            library=library,
+            library=library(self.targetdescr.target_context.codegen(), self.py_func.__qualname__),
             pipeline_class=self.pipeline_class,
         )
-        context.insert_user_function(made.fndesc, made.fndesc, [made.library])
-        return made
 
-
-class _RootCompiler(_FunctionCompiler):  # type: ignore[misc]
     def _compile_core(self, args: Any, return_type: Any) -> Any:
         _shorten_errors()
-        return super()._compile_core(args, return_type)
+        return self._compile(_Library, args, return_type)
+
+
+class _CalleeCompiler(_Compiler):
+    def _compile_core(self, args: Any, return_type: Any) -> Any:
+        made = self._compile(
+            _CalleeLibrary, args, return_type, no_compile=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
+        )
+        self.targetdescr.target_context.insert_user_function(made.fndesc, made.fndesc, [made.library])
+        return made
 
 
 class _Callee(CPUDispatcher):
@@ -75,7 +91,7 @@ class _Callee(CPUDispatcher):
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         super().__init__(function, {}, options)
-        self._compiler = _Compiler(function, self.targetdescr, options, {}, compiler.Compiler)
+        self._compiler = _CalleeCompiler(function, self.targetdescr, options, {}, compiler.Compiler)
 
     def add_overload(self, made: Any) -> None:
         self.overloads[tuple(made.signature.args)] = made
@@ -91,7 +107,7 @@ class KernelDispatcher(CPUDispatcher):
 
     def __init__(self, function: Callable[..., Any], locals: dict[str, Any], options: dict[str, Any]) -> None:
         super().__init__(function, locals, options)
-        self._compiler = _RootCompiler(function, self.targetdescr, options, locals, compiler.Compiler)
+        self._compiler = _Compiler(function, self.targetdescr, options, locals, compiler.Compiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         if self._callee is None:
