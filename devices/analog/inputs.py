@@ -39,7 +39,7 @@ class AnalogInput:
 
 @dataclass(frozen=True, slots=True)
 class AnalogSource(Source):
-    """A device whose own clock paces the samples of its analog inputs, read in blocks of BLOCK_S."""
+    """A device with analog inputs paced by its own clock, read in blocks of BLOCK_S."""
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
 

@@ -56,7 +56,7 @@ def state_size(version: str) -> int:
 
 
 def battery_v(answer: bytes, size: int) -> float | None:
-    """The battery's voltage in the answer to STATE; None if it is none. Half of it is measured, with 10 bits.
+    """The battery's voltage in the answer to STATE; None for any other answer. Half of it is measured, with 10 bits.
 
     The firmware's own numbers say so (BITalinoWorld/firmware-bitalino-revolution): its alarm at 3.4 to 3.8 V is at 527 to 590 counts.
     """

@@ -28,7 +28,7 @@ KINDS = ("eeg", "emg", "ecg", "eog", "eda", "ppg", "accel", "gyro", "magnetomete
 MICROVOLTS = {"eeg", "emg", "ecg", "eog"}
 """What BrainFlow gives in uV on every board; of all else it does not say the unit."""
 COUNTED = {-1: 8, 0: 8}
-"""Boards whose package number counts rows, and of how many bits it is: the synthetic one, the Cyton. Of all others rows are counted."""
+"""Boards with a package number that counts rows, and its bits: the synthetic one, the Cyton. Of all others rows are counted."""
 
 
 def library() -> Any:

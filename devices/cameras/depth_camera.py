@@ -24,12 +24,12 @@ from kinegraph.stream.source import Feed, Source, outputs_by_parameters
 
 FIRST_FRAME_S = 15.0
 USUAL_FOCAL = 0.80
-"""Focal length in widths of the frame, where none is given: nominal, of no camera."""
+"""Focal length in widths of the frame, if not given: nominal, of no camera."""
 
 
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
-    """depth (height, width) uint16 mm; device_ns: the camera's time; number: -1 where frames have none; image: None or its pixels."""
+    """depth (height, width) uint16 mm; device_ns: the camera's time; number: -1 if frames are not numbered; image: None or its pixels."""
 
     number: int
     device_ns: int
@@ -47,7 +47,7 @@ class OpenCamera(Protocol):
     def intrinsics(self) -> tuple[float, float, float, float] | None: ...
 
     def frame(self, within_s: float) -> CameraFrame | None:
-        """The next frame; None: none came. Raises DeviceError when the camera is gone, EOFError at a recording's end."""
+        """The next frame, or None. Raises DeviceError when the camera is gone, EOFError at a recording's end."""
 
 
 @dataclass(frozen=True, slots=True)

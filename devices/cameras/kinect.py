@@ -1,4 +1,4 @@
-"""Azure Kinect (and Orbbec's cameras with its interface) through pyk4a, whose wheels need numpy 1 until they are built again."""
+"""Azure Kinect (and Orbbec's cameras with its interface) through pyk4a; its wheels need numpy 1 until they are rebuilt."""
 
 from __future__ import annotations
 

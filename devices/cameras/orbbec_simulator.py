@@ -55,7 +55,7 @@ class SimulatedFrame:
 
 
 class OrbbecLibrary:
-    """The library, with one camera. `lose`: frames whose number is a multiple of it do not come; `pulled`: the cable is out."""
+    """The library, with one camera. `lose`: every `lose`-th frame is dropped; `pulled`: the cable is out."""
 
     OBError = OrbbecFailure
     OBSensorType = Enum("OBSensorType", "DEPTH_SENSOR IR_SENSOR COLOR_SENSOR")

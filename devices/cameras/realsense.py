@@ -133,7 +133,7 @@ class RealSenseCamera:
 
 
 def in_mm(raw: np.ndarray, mm: float) -> np.ndarray:
-    """Depth (height, width) uint16 in mm, copied; `mm`: what a unit of `raw` stands for. What is too far to be said in mm is 0."""
+    """Depth (height, width) uint16 in mm, copied; `mm`: what a unit of `raw` stands for. What is too far for uint16 is 0."""
     if abs(mm - 1.0) < 1e-6:
         return np.array(raw, np.uint16)
     scaled = np.rint(raw * mm)

@@ -71,7 +71,7 @@ class CounterCheck:
         return f"its counter goes up by {step} a record: does it count samples, or records of other kinds, too? {what[0].upper()}{what[1:]}"
 
     def _early(self) -> str:
-        """What is to be said if it starts again before its declared end."""
+        """The finding if the counter restarts before its declared end."""
         if not self._leaps:
             return ""
         (last, first), times = self._leaps.most_common(1)[0]

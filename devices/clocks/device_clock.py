@@ -37,7 +37,7 @@ JUMP_NS = 10_000_000
 UNSURE_NS, SURE_FROM = 100_000_000, 3
 """The jump that is taken for a clock set forward until this many seconds are known: the first packets may have waited somewhere."""
 ROUNDED = 2
-"""Stamps whose first is later than that by more ns than rounding makes are all later, as they advance faster."""
+"""If the first stamp is later than that by more than rounding (ns), all are later, as they advance faster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class DeviceClock:
         return self._suspension.is_waking(arrival_ns - self._arrival)
 
     def take_gap(self) -> bool:
-        """Whether a gap is to be marked before the packet seen last, as nobody knows how long its device's clock stood still; once."""
+        """Whether to mark a gap before the last packet, since its device's clock stood still for an unknown time; once."""
         return self._suspension.take_gap()
 
     def _lowest(self, device_ns: int, difference: int) -> None:
@@ -281,7 +281,7 @@ class Counter:
         self.value = 0
         """The running number of the last packet."""
         self.restarted = False
-        """Whether with the last packet the device was found to count from the beginning: nobody knows what is missing."""
+        """Whether the device restarted its counter with the last packet: the number of missing ones is unknown."""
 
     def lost_before(self, counter: int, arrival_ns: int) -> int:
         """How many packets are missing just before this one; -1: it was there already (a repetition), or its number cannot be right."""

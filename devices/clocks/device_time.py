@@ -14,7 +14,7 @@ STILL_NS, STILL_STEPS = 500_000_000, 4
 FIRST_NS = 3_000_000_000
 """The same while no step is known."""
 COARSE = 0.1
-"""Where more of its steps are none at all, it is coarser than the records."""
+"""If more of its steps are 0, it is coarser than the records."""
 BELIEVED = 3
 """This many numbers in a row that fit each other, but not what was before, mean that the device's clock was set or started again."""
 
@@ -93,7 +93,7 @@ class DeviceTime:
         return self._value
 
     def _same_again(self, raw_ns: int, arrival_ns: int) -> int:
-        """The value of a record whose time is that of the record before it."""
+        """The value of a record with the same time as the record before it."""
         self._reads, self._same = self._reads + 1, self._same + 1
         stood = arrival_ns - self._moved
         if self._stands:

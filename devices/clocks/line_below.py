@@ -15,7 +15,7 @@ def line_below(
     """The edge, over the middle of what is known, of the lower convex hull of the first n > 0 of the points `x`, `y` (m,), x increasing.
 
     hull, rest   (m,) memory
-    out          slope, height above y[0] at the point whose index is returned, median of how far the points are above the line
+    out          slope, height above y[0] at the point with the returned index, median of how far the points are above the line
 
     Below `steady` points the slope is 0. One above `most_drift` is believed up to `steepest`, where it is `clear` times the stray.
     """

@@ -33,7 +33,7 @@ BUCKET_NS = NS // 4
 OUTLIER = 50
 """A step of the device's time this many times as long as usual is an outage or a jump, and says nothing of its pace."""
 TWICE = 0.1
-"""Where fewer steps of the device's time are none at all, these are records that came twice, not a coarse time."""
+"""If fewer steps of the device's time are 0, these are repeated records, not a coarse time."""
 TOLD_AGAIN = 0.01
 BEHIND = 0.75
 """A time that fits the declared rate may run so slow: a computer that does not keep up takes late what came in time."""
@@ -62,7 +62,7 @@ class RateCheck:
         self._told = rate_hz or 0.0
         self._first = True
         self._stood = False
-        """Whether it has been said that the device's time stands still."""
+        """Whether the stopped clock has been reported."""
         self._from = 0
         self._begin()
 
@@ -226,7 +226,7 @@ class RateCheck:
 
 
 def _usual(steps: Samples) -> float:
-    """The mean step between records that follow each other (n,): of coarse time some are a unit longer, or none at all."""
+    """The mean step between records that follow each other (n,): with a coarse time some are a unit longer, or 0."""
     if np.count_nonzero(steps == 0) < TWICE * len(steps):
         steps = steps[steps > 0]
     smallest = float(steps[steps > 0].min())

@@ -14,11 +14,11 @@ SURE = 0.6
 
 
 class ShortCounter:
-    """Numbers the packets of a device whose counter has so few bits that a late read alone looks like a turn of it.
+    """Numbers the packets of a device with so short a counter that one late read looks like a wrap-around.
 
     What a packet's number says at once is at most a turn. Whole turns that are missing show afterwards: from then on every packet comes
     late by as much, while a stall or a burst delays only some. So the least lateness of a second is watched, and if it is a turn or more,
-    the next packet is said to come after as many missing ones; until then, stamps are early by that.
+    the next packet is counted as after that many missing ones; until then, stamps are early by that.
     """
 
     def __init__(self, bits: int, rate_hz: float, latency_s: float = 0.0) -> None:
@@ -40,7 +40,7 @@ class ShortCounter:
         return self._clock.state
 
     def take(self, counters: Array, arrival_ns: int) -> Packets:
-        """Packets with these counters (n,), n > 0, have arrived now; none is a repetition."""
+        """Packets with these counters (n,), n > 0, have arrived now, without repetitions."""
         counters = counters.astype(np.int64)
         first = self._counter < 0
         before = int(counters[0]) - 1 if first else self._counter

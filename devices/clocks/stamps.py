@@ -27,7 +27,7 @@ class Stamps:
     """For records that come some at a time.
 
     rate_hz        how many a second, where that is known; needed where a counter is the only clock
-    counter_bits   of the counter in each record; 0: there is none
+    counter_bits   of the counter in each record; 0: no counter
     counter_turn   after how many records it starts again, where that is no power of two
     has_time       whether each record brings the device's time
     wraps_ns       where that starts again; 0: never
@@ -273,7 +273,7 @@ class Losses:
         return 0
 
     def _place(self, periods: float, missing: int, restarted: bool) -> int:
-        """Where the record lies among those that have the same time; returns how many had the one before, -1: unknown.
+        """Index of the record among those with the same time; returns how many had the one before, -1: unknown.
 
         The first time of all may be that of records which came before anybody listened.
         """

@@ -44,6 +44,6 @@ class Suspension:
         return 0
 
     def take_gap(self) -> bool:
-        """Whether a gap is to be marked before the packet seen last, as nobody knows how long its device's clock stood still; once."""
+        """Whether to mark a gap before the last packet, since its device's clock stood still for an unknown time; once."""
         gap, self._gap = self._gap, False
         return gap

@@ -45,7 +45,7 @@ class TickClock:
     """Unwraps both and maps the device's time onto session time.
 
     A time that goes back, or that advances by more than has passed, means that the device has started again: what is known of its clock is
-    forgotten, and how many packets are missing nobody knows. A packet with the same counter and time as the one before is a repetition.
+    forgotten, and the number of missing packets is unknown. A packet with the same counter and time as the one before is a repetition.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from kinegraph.devices.clocks.packet_clock import Stamped
 from kinegraph.stream.chunk import Array, Chunk, StreamSpec, Times
 
 TIMING = np.dtype([("counter", "<i8"), ("device", "<i8"), ("arrival", "<i8"), ("stamp", "<i8")])
-"""One packet: its running counter, the device's time (ns), its arrival and its mapped stamp (ns, session time); -1: there is none."""
+"""One packet: its running counter, the device's time (ns), its arrival and its mapped stamp (ns, session time); -1: missing."""
 
 
 def timing_spec() -> StreamSpec:

@@ -43,14 +43,14 @@ def export(
     resample: Annotated[
         bool,
         typer.Option(
-            "--resample", help="interpolate signals whose stamps are not regular enough for EDF, BIDS, C3D or TRC"
+            "--resample", help="interpolate signals with stamps that are too irregular for EDF, BIDS, C3D or TRC"
         ),
     ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that are there already")] = False,
 ) -> None:
     """Export a recording's streams to the formats of other programs.
 
-    What a format cannot hold is left out and said so: a table holds no images.
+    What a format cannot hold is left out and reported: a table holds no images.
     """
     from kinegraph.stream.recording import Recording
     from kinegraph.stream.text.progress import bar

@@ -1,4 +1,4 @@
-"""The arguments and options of `kinegraph files import`; what is said of streams is read by `devices.commands.import_options`."""
+"""The arguments and options of `kinegraph files import`; `devices.commands.import_options` reads those about streams."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ Unit: TypeAlias = Annotated[
 Scale: TypeAlias = Annotated[Many, typer.Option(metavar="[NAME=]FACTOR", help="multiply the samples")]
 PointsUp: TypeAlias = Annotated[
     Many,
-    typer.Option(metavar="[NAME=]AXIS", help="of points and meshes whose files do not say it: the axis that points up"),
+    typer.Option(
+        metavar="[NAME=]AXIS", help="for points and meshes in files that do not say it: the axis that points up"
+    ),
 ]
 FacesForward: TypeAlias = Annotated[
     Many, typer.Option(metavar="[NAME=]AXIS", help="with --up: the axis along which bodies face, if it is known")
@@ -76,7 +78,7 @@ ChunkLength: TypeAlias = Annotated[
 ]
 RepeatedTimes: TypeAlias = Annotated[
     bool,
-    typer.Option(help="accept repeated times (a coarse clock); leave out packets whose counter repeats"),
+    typer.Option(help="accept repeated times (a coarse clock); leave out packets with a repeated counter"),
 ]
 TextWidth: TypeAlias = Annotated[
     int | None,

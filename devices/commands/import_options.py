@@ -1,4 +1,4 @@
-"""What is said to `kinegraph files import` about streams, as its options write it: NAME=VALUE, or VALUE for every stream."""
+"""Options of `kinegraph files import` about streams: NAME=VALUE, or VALUE for every stream."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def options_of(given: Mapping[str, Many], start: str, **flags: Any) -> ImportOpt
 
 
 def pairs(option: str, given: Many, *, named: bool = False) -> dict[str, str]:
-    """["a=x", "y"] as {"a": "x", "": "y"}: what is said of one stream, and of all others."""
+    """["a=x", "y"] as {"a": "x", "": "y"}: for one stream, and for all others."""
     made: dict[str, str] = {}
     for text in given or ():
         name, equals, content = text.partition("=")

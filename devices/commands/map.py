@@ -66,7 +66,7 @@ def map_(
 
 
 def trained(recordings: list[Path], options: dict[str, Any]) -> Path:
-    """The map of these recordings, made now if there is none of them as they are."""
+    """The map of these recordings; made now unless a valid one exists."""
     import platformdirs
 
     from kinegraph.stream.recording.format.paths import parts_of

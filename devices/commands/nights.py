@@ -45,7 +45,7 @@ def nights(
     names: Annotated[list[str] | None, typer.Argument(metavar="NIGHT", help="such as 2026-11-20, or last")] = None,
     path: Annotated[Path, typer.Option(help="the folder of all nights")] = Path("nights"),
     yes: Annotated[bool, typer.Option("--yes", "-y", help="delete without asking")] = False,
-    sleeper: Annotated[str, typer.Option(help="whose nights, where there are several sleepers")] = "",
+    sleeper: Annotated[str, typer.Option(help="the sleeper's name, if there are several")] = "",
     since: Annotated[str, typer.Option(metavar="DATE", help="weeks, export: the first evening")] = "",
     until: Annotated[str, typer.Option(metavar="DATE", help="weeks, export: the last evening")] = "",
     compare: Annotated[
@@ -111,7 +111,7 @@ def _of_single(action: Action, path: Path, names: list[str], yes: bool) -> None:
             )
         if not yes and not sys.stdin.isatty():
             raise KinegraphError(
-                f"nobody can be asked for confirmation, so {folder.name} stays; --yes deletes without asking"
+                f"no terminal to ask for confirmation, so {folder.name} stays; --yes deletes without asking"
             )
         if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
             archive.remove(folder)

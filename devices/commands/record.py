@@ -65,12 +65,12 @@ def record(
                 err=True,
             )
     elif store_frames:
-        raise KinegraphError("--store-frames: none of these sources gives images")
+        raise KinegraphError("--store-frames: these sources give no images")
     conduct(graph, session_folder(graph, out), duration_s=duration_s, view=view, simulate=simulate)
 
 
 def loaded(arguments: list[str], record: Sequence[str] = ()) -> Graph:
-    """The graph of these sources. Raises GraphError, without the lines of a file that nobody wrote."""
+    """The graph of these sources. Raises GraphError, without line numbers, since there is no file."""
     from kinegraph.stream.errors import GraphError
     from kinegraph.stream.graph.reading.load import load_text
 
@@ -105,7 +105,7 @@ def with_ports(arguments: list[str]) -> list[str]:
 
 
 def _parameters(path: str) -> set[str]:
-    """The names of a source's parameters; none where there is no such source, which loading the graph reports."""
+    """The names of a source's parameters; empty for an unknown source, which loading the graph reports."""
     from kinegraph.stream.graph.components import find
 
     try:

@@ -34,7 +34,7 @@ def simulate(
     It speaks the real device's protocol, so kinegraph or any other software can be pointed at it. Faults are written the same way for
     all: lose=0.01, duplicate=, corrupt= (shares of packets), stall_every_s=, stall_s=, reset_every_s=, unplug_every_s=, unplug_s=; its
     clock is set, jump_every_s=, by jump_s= (below 0: back); from_s= (nothing goes wrong before), seed=. What means nothing to a
-    device (a counter started again where there is none) is refused.
+    device (a counter reset without a counter) is refused.
     """
     from kinegraph.devices.simulation.catalogue import find, named
     from kinegraph.devices.simulation.fault_injection import FaultInjection

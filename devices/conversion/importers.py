@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kinegraph.stream.recording.series import Series
 
 TIMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us", "time_ns")
-"""Column names that are taken for the time where nothing is said."""
+"""Column names that are taken for the time by default."""
 
 
 def _motion(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
@@ -97,7 +97,7 @@ def _by_default(files: Sequence[Path], table: ColumnTable, options: ImportOption
             options.time[file.stem] = time
         text = [n for n in mine if table.columns[n].is_text and n != time]
         if len(text) + bool(time) >= len(mine):
-            text = []  # whose own message says what is wrong
+            text = []  # its own message says what is wrong
         if text:
             left = ", ".join(repr(own(n)) for n in text)
             options.findings.doubts.append(f"{file.name}: {left}: text, not read")

@@ -36,7 +36,7 @@ def _grammar(
     *,
     untried: bool = False,
 ) -> Importer:
-    """An importer whose reader, and what knows its files by their text, are functions of a module of this room."""
+    """An importer with its reader and its content check in a module of this folder."""
 
     def claims(path: Path, head: bytes) -> bool:
         text = _of("text_lines").decoded(head)

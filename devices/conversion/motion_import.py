@@ -1,4 +1,4 @@
-"""Motion capture files of several kinds, with what is said about their streams."""
+"""Motion capture files of several kinds, with options for their streams."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RATE_HZ = 120.0
 
 OPTIONS = ("rate", "time", "time_unit", "counter", "names", "unit", "scale")
 TAKES = {".bvh": ("unit", "scale"), ".c3d": (), ".amc": ("rate",), ".asf": ()}
-"""What must be said of each kind of file, or may be; the file holds all else. Of Kinect tables it is what TABLE holds."""
+"""Options that each kind of file needs or accepts; the file holds the rest. Kinect tables take those of TABLE."""
 TABLE = ("rate", "unit", "scale")
 
 
@@ -57,7 +57,7 @@ def read_motion(
 def _rest(
     files: Sequence[Path], options: ImportOptions, chosen: Mapping[str, str], known: Sequence[str]
 ) -> ImportOptions:
-    """What is said of other files than these. Raises RecordingError where something is said of one that says it itself."""
+    """The options for other files than these. Raises RecordingError for an option that a file states itself."""
     left: dict[str, Any] = {}
     for option in OPTIONS:
         given = getattr(options, option)
@@ -73,7 +73,7 @@ def _rest(
 
 
 def _nothing_left(rest: ImportOptions, known: Sequence[str], kinds: Iterable[str]) -> None:
-    """Raises where something is said of a stream that no file holds, or that motion files say themselves."""
+    """Raises for an option about an unknown stream, or one that motion files state themselves."""
     for name, parts in rest.streams.items():
         what = ",".join(parts)
         raise RecordingError(f"--stream {name}={what}: there is no such stream in these files; {nearest(what, known)}")
@@ -147,7 +147,7 @@ def _of_kind(file: Path, skeletons: dict[str, Skeleton], options: ImportOptions)
 
 
 def _skeleton_of(file: Path, skeletons: dict[str, Skeleton]) -> Skeleton:
-    """The only skeleton, or the one whose name begins the file's: 86.asf for 86_01.amc."""
+    """The only skeleton, or the one that the file's name begins with: 86.asf for 86_01.amc."""
     fitting = [name for name in skeletons if file.stem.startswith(name)] if len(skeletons) > 1 else list(skeletons)
     if not fitting:
         raise RecordingError(

@@ -167,7 +167,7 @@ class CytonDecoder:
         self._following = False
         """Whether what stands at the head of the buffer follows a packet directly."""
         self._counter, self._last = -1, b""
-        """The last packet, and what its counter said (or should have said for what follows it to be believed)."""
+        """The last packet, and its counter (or the counter that would make the next packets valid)."""
 
     def feed(self, data: bytes) -> CytonFrames:
         if (

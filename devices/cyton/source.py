@@ -48,14 +48,14 @@ class Cyton(SerialSource):
     accel    (3,) float64, g, about 25 Hz: every new value of the board's accelerometer
     timing   an event per packet: counter, device time by the counter, arrival, stamp
 
-    The board is reset, asked who it is, set to its defaults and to `settings`, and told to begin. Lost packets are known from the counter.
+    The board is reset, asked who it is, set to its defaults and to `settings`, and started. Lost packets are known from the counter.
     With a Daisy, even packets bring channels 9-16 and odd ones 1-8; a sample is an even one and the odd one after it (as BrainFlow pairs
     them), has the second one's stamp, and is lost if either is.
 
     Packets of `gather_s` are read at once, which delays them by as much at most and halves the work. Stamps come from the counter.
 
     The board measures its electrodes' impedances before a session (`kinegraph emg check-electrodes`): both poles of a channel, one after
-    the other; of one whose positive side is SRB2, or whose negative side is SRB1, the other pole alone.
+    the other; with SRB2 on the positive or SRB1 on the negative side, the other pole alone.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("emg", "accel", "timing")

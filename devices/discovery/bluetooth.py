@@ -30,7 +30,7 @@ SERVICES: tuple[tuple[str, str, str], ...] = (
 
 
 def find() -> Iterator[FoundDevice]:
-    """Every device that advertises for four seconds and says its name, or is of a known kind; nothing if bleak is not installed."""
+    """Every device that advertises its name within four seconds, or is of a known kind; nothing if bleak is not installed."""
     if find_spec("bleak") is None:
         return
     try:

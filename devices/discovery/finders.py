@@ -20,7 +20,7 @@ class FoundDevice:
     kind      "serial", "usb", "lsl", "oak", ...
     address   how to name it: a port, an id, a stream's name
     what      what it is, for people
-    yaml      the node that reads it, as a graph writes it ("use: ..." and its parameters); "" where nobody can tell
+    yaml      the node that reads it, as a graph writes it ("use: ..." and its parameters); "" if unknown
     note      what has to be known or done first: permissions, another program that has it
     """
 

@@ -14,7 +14,7 @@ REQUEST, RESET, SPEED, INCLINE, START, STOP = 0, 1, 2, 3, 7, 8
 RESULT = {1: "ok", 2: "not supported", 3: "wrong parameter", 4: "failed", 5: "not permitted"}
 SAFETY_KEY, CONTROL_LOST = 3, 0xFF
 ABSENT = -(2**15)
-"""An incline of this is none."""
+"""The value of an unknown incline."""
 
 _PARTS: tuple[tuple[int, str, tuple[tuple[str, int, bool, float], ...]], ...] = (
     # bit, and its fields: name, bytes, signed, factor

@@ -69,7 +69,7 @@ class ColumnTable:
 
 @dataclass(frozen=True, slots=True)
 class ImportOptions:
-    """What is said about the streams to be made; each mapping is by stream name, "" standing for every stream.
+    """Options for the streams to be made; each mapping is by stream name, "" for every stream.
 
     streams    the columns or arrays of each signal; several one-dimensional ones become its channels
     events     the column or array of each event stream's times
@@ -100,7 +100,7 @@ class ImportOptions:
     untried: bool = False
     """Whether formats are read of which no real file was at hand."""
     preview: bool = False
-    """Whether files are only looked at: a rate that nobody told is then no error."""
+    """Whether files are only looked at: an unknown rate is then no error."""
     findings: Findings = field(default_factory=Findings)
 
     @property
@@ -201,7 +201,7 @@ def _channels(
 def _timing(
     shelf: ColumnTable, options: ImportOptions, name: str, near: Path | None, n: int
 ) -> tuple[Array, Times, float | None, Array | None]:
-    """The rows that count, their stamps, rate, and lost samples, of a signal of `n` rows, whose columns are all of the file `near`."""
+    """The rows that count, their stamps, rate, and lost samples, of a signal of `n` rows with all columns from the file `near`."""
     rate = _rate(shelf, options, name)
     counter = options.of(options.counter, name)
     kept, lost = np.arange(n), None

@@ -101,7 +101,7 @@ def exporters() -> dict[str, Exporter]:
 
 
 def chosen(name: str, out: Path | None) -> Exporter:
-    """The exporter of this name; without one, the one whose files end as `out` does, else CSV. Raises RecordingError."""
+    """The exporter of this name; without a name, by the suffix of `out`, else CSV. Raises RecordingError."""
     known = exporters()
     if name:
         if name not in known:

@@ -19,7 +19,7 @@ class Findings:
     """Of all files of an import.
 
     kinds   by file: the program and the grammar, in words
-    facts   about session and person, as far as files tell them and nobody is named
+    facts   about session and person, without names
     doubts  what was taken for granted, or contradicts itself; each begins with the file's name
     """
 

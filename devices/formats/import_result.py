@@ -68,7 +68,7 @@ class Understood:
 
     kind    the program that wrote it and the grammar, for people
     begin   when time 0 was (ns UTC); None: the file does not say
-    facts   about the session and the person, as far as they name nobody
+    facts   about the session and the person, without names
     doubts  what was taken for granted, or contradicts itself, in words
     """
 
@@ -96,7 +96,7 @@ class Understood:
         self.series.append(Series(self.name(part), spec, grid_of(rate_hz, index, start), data, keep))
 
     def add_timed(self, part: str, seconds: Samples, data: Array, line: int, asked: Asked, **facts: Any) -> None:
-        """A stream whose samples were taken at `seconds`, the first of which is in line `line`.
+        """A stream with samples taken at `seconds`, the first of them in line `line`.
 
         `rate_hz` among `facts` is what the file says the rate is: it holds if the times agree with it, and is doubted if not.
         """

@@ -59,7 +59,7 @@ def listed() -> str:
 
 
 def importer_of(file: Path, by_suffix: Mapping[str, Importer]) -> Importer:
-    """The importer that claims a file by its content, else the one of its suffix. Raises RecordingError for what nobody knows."""
+    """The importer that claims a file by its content, else the one of its suffix. Raises RecordingError for an unknown format."""
     head = _head(file)
     if not head and file.is_file() and file.stat().st_size == 0:
         raise RecordingError(f"{file}: the file is empty")
@@ -85,7 +85,7 @@ def _head(file: Path) -> bytes:
 
 
 def _suffixes(kinect: bool) -> dict[str, Importer]:
-    """By suffix, the importer of files that no one claims: one that claims none comes before those that do."""
+    """By suffix, the importer of files that no one claims: one without a content check comes before those with one."""
     every = sorted(importers().values(), key=lambda one: one.claims is None)
     by_suffix = {suffix: one for one in every for suffix in one.suffixes}
     if kinect:

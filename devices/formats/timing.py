@@ -15,7 +15,7 @@ SPELT = {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds"
 TOLERANCE = 0.3
 """How far a stamp may be from the regular grid, in periods, for the grid's own stamps to be put in its place."""
 MOST_NS = 1 << 62
-"""Times farther from 1970 than this (146 years) are refused: nobody measured then, and further on int64 overflows."""
+"""Times farther from 1970 than this (146 years) are refused: they cannot be real, and further on int64 overflows."""
 MOST_HZ = 1e9
 """No stamp is finer than a nanosecond."""
 SNAP = 1e-4
@@ -52,7 +52,7 @@ def to_ns(values: Array, unit: str) -> Times:
 
 
 def grid_of(rate_hz: float, index: Array, anchor: int) -> Times:
-    """Stamps of samples number `index` of a regular stream whose sample 0 is at `anchor` ns."""
+    """Stamps of samples number `index` of a regular stream with sample 0 at `anchor` ns."""
     return anchor + np.round(index * (NS / rate_hz)).astype(np.int64)
 
 

@@ -24,7 +24,7 @@ MOST_SAMPLES = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """A stream: stamps (n,) ns, samples (n, ...), samples lost before each (n,) (-1: some; None: none anywhere)."""
+    """A stream: stamps (n,) ns, samples (n, ...), samples lost before each (n,) (-1: some; None: nothing is lost)."""
 
     name: str
     spec: StreamSpec
@@ -79,7 +79,7 @@ class Gathered:
 
     @property
     def nominal_hz(self) -> float:
-        """The rate that the stream declares. Raises RecordingError where it has none, or no samples."""
+        """The rate that the stream declares. Raises RecordingError without a rate or samples."""
         rate = self.spec.rate_hz
         if rate is None or not len(self.time):
             raise RecordingError(
@@ -188,7 +188,7 @@ def gather(wanted: Export) -> list[Gathered]:
 def the_one(streams: list[Gathered], what: str, kind: str) -> Gathered:
     """The only stream that fits into a file of one stream. Raises RecordingError with those there are."""
     if len(streams) != 1:
-        listed = ", ".join(one.name for one in streams) or "there are none"
+        listed = ", ".join(one.name for one in streams) or "it holds no streams"
         raise RecordingError(f"{what} holds one stream of {kind}; name it with --stream ({listed})")
     return streams[0]
 

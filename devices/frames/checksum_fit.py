@@ -1,4 +1,4 @@
-"""Which checksum would fit frames whose declared one is wrong: kind, range and byte order, tried on the frames that came."""
+"""Finds the checksum (kind, range, byte order) that fits received frames if the declared one is wrong."""
 
 from __future__ import annotations
 

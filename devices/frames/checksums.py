@@ -19,7 +19,7 @@ class Checksum:
 
 
 def _crc_table(polynomial: int) -> tuple[int, ...]:
-    """For bytes whose lowest bit comes first."""
+    """For bytes with the lowest bit first."""
     table = []
     for value in range(256):
         for _ in range(8):

@@ -39,7 +39,7 @@ class UdpLine:
 
 
 class DatagramServer(Server):
-    """Runs a device whose every packet is a datagram."""
+    """Runs a device that sends each packet as a datagram."""
 
     def _send(self, packets: list[bytes]) -> None:
         for one in packets:

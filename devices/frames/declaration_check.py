@@ -1,4 +1,4 @@
-"""Whether a device is as declared: what is said when no frame comes, and of checksums that are right by chance."""
+"""Checks a device against its declaration: no frames, and checksums that are right by chance."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class DeclarationCheck:
         if not came or silent_s <= FIRST_FRAME_S:
             return ""
         if text := self._counters():
-            return f"no frame from {self._port} within {FIRST_FRAME_S:g} s, as none is believed: {text}"
+            return f"no frame from {self._port} within {FIRST_FRAME_S:g} s, as no frame is valid: {text}"
         syncs = " or ".join(layout.sync.hex(" ") or f"{layout.size} bytes" for layout in self._layouts)
         check = " and a right checksum" if all(layout.checksum.size for layout in self._layouts) else ""
         return (
@@ -64,7 +64,7 @@ class DeclarationCheck:
         return f"their counter {way}: {what}"
 
     def judge(self, good: int, bad: int, spoilt: Iterable[tuple[int, bytes]], feed: Feed) -> None:
-        """A device nearly all of whose first frames have a wrong checksum is another one: those that seem right are so by chance.
+        """If nearly all first frames have a wrong checksum, this is another device: the right ones are chance.
 
         Raises DeclarationError, DeviceError.
         """

@@ -89,7 +89,7 @@ class Frame:
         help='the bytes it begins with, in hex: "55 51"; "" where each transfer or packet is a frame, whatever it begins with'
     )
     fields: tuple[Field, ...] = param(help="what comes between sync and checksum, in order")
-    name: str = param("", help="the output's name; a frame without data needs none")
+    name: str = param("", help="the output's name; not needed by a frame without data")
     endian: Literal["little", "big"] = param("little", help="byte order of fields and checksum")
     checksum: Kind = param("none", help="over all bytes before it, the first `checksum_from` left out")
     checksum_from: int = param(0, least=0, help="with how many bytes at its beginning the checksum does not deal")

@@ -22,7 +22,7 @@ class FoundFrames:
 
     kinds     (n,) which layout each frame has, in the order in which they came
     frames    per layout, its frames one after the other
-    bad       frames whose checksum was wrong
+    bad       frames with a wrong checksum
     spoilt    the first of these: layout, frame
     dropped   bytes that belonged to no frame
     resyncs   how often the beginning of the next frame had to be looked for
@@ -62,7 +62,7 @@ class FrameDecoder:
         """How often a frame was not believed for its counter, by that and the one of the frame right behind; the first `CONTRADICTED`."""
 
     def only(self, data: bytes) -> tuple[int, bytes] | None:
-        """The kind and the frame, where these bytes are one good frame and nothing else can be said of them; else `feed` takes them."""
+        """The kind and the frame, if these bytes are one good frame and nothing else; else `feed` takes them."""
         return None
 
     def feed(self, data: bytes) -> FoundFrames:

@@ -44,7 +44,7 @@ class FrameGuess:
     checksum_from: int = 0
     fields: list[dict[str, Any]] = field(default_factory=list)
     time_step: float = 0.0
-    """By how much the device's time goes on from frame to frame; 0: it brings none."""
+    """Step of the device's time from frame to frame; 0: no device time."""
 
 
 def guess(data: bytes) -> FrameGuess | None:

@@ -17,7 +17,7 @@ LONGEST = 65536
 class PacketDecoder(FrameDecoder):
     """Packets to frames: each is a frame as a whole, or nothing. What is behind a frame's last byte is passed over.
 
-    Of several kinds, the one with the longest sync that fits is taken, and of these the one whose length is the packet's.
+    Of several kinds, the one with the longest sync that fits is taken, and of these the one with the packet's length.
     """
 
     def __init__(self, layouts: Sequence[FrameLayout]) -> None:
@@ -26,7 +26,7 @@ class PacketDecoder(FrameDecoder):
         self._order = sorted(range(len(layouts)), key=lambda i: (-len(layouts[i].sync), -layouts[i].size))
 
     def feed(self, data: bytes) -> FoundFrames:
-        """`data`: one packet; b"": none came."""
+        """`data`: one packet; b"": nothing came."""
         found = FoundFrames()
         if data:
             self.take(data, found)
@@ -96,7 +96,7 @@ class EscapedDecoder(PacketDecoder):
 
 
 def unslip(piece: bytes) -> bytes | None:
-    """What a SLIP packet holds; None where its escapes are none."""
+    """The content of a SLIP packet; None for invalid escapes."""
     parts = piece.split(b"\xdb")
     made = bytearray(parts[0])
     for part in parts[1:]:

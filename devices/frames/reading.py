@@ -21,7 +21,7 @@ from kinegraph.stream.source import Feed
 
 
 class Declared(Protocol):
-    """A source whose frames are declared, as its reading sees it."""
+    """A source with declared frames, as its reading sees it."""
 
     @property
     def port(self) -> str: ...

@@ -25,7 +25,7 @@ BY_MESSAGE = ("udp://", "zmq+")
 
 @dataclass(frozen=True, slots=True)
 class Binary(SerialSource):
-    """A device whose frames the graph declares: over a serial port, TCP or Bluetooth LE, or as UDP datagrams or ZeroMQ messages, each of
+    """A device with frames that the graph declares: over a serial port, TCP or Bluetooth LE, as UDP datagrams or ZeroMQ messages, each of
     which is one.
 
     NAME     (channels,) float64: the data fields of the frame of that name, in their units; an output for each frame with data
@@ -46,7 +46,7 @@ class Binary(SerialSource):
     framing: Framing = param(
         "none",
         help="slip or cobs: the device escapes its frames, so that one byte alone marks their ends; packet: what carries them does (each "
-        "datagram, each Bluetooth notification is one); none of these needs a sync",
+        "datagram, each Bluetooth notification is one); these need no sync",
     )
     pause_s: float = param(0.05, least=0, most=10, help="how long to wait after each command")
     time_wraps_s: float = param(

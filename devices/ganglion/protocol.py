@@ -1,6 +1,6 @@
 """OpenBCI Ganglion over Bluetooth LE: packets of 20 bytes to four channels, firmware 2 (differences) and 3 (whole numbers). No port.
 
-Source: OpenBCI's and BrainFlow's public decoders. They disagree on numbers whose lowest bit is set: the firmware puts the sign there;
+Source: OpenBCI's and BrainFlow's public decoders. They disagree on numbers with the lowest bit set: the firmware puts the sign there;
 OpenBCI extends by it, BrainFlow (native) takes the highest bit and subtracts one. This follows OpenBCI; so do
 impedances.
 """
@@ -35,7 +35,7 @@ class GanglionPacket(NamedTuple):
 
 
 def impedance_ohm(data: bytes) -> tuple[int, float] | None:
-    """Which electrode (1 to 4 a channel's, 5 the reference's) a message says the impedance of, and how many ohm; None: it says none.
+    """Which electrode (1 to 4 a channel's, 5 the reference's) a message is about, and its impedance in ohm; None for other messages.
 
     Behind its first byte stand digits, as text, and whatever else.
     """
@@ -101,6 +101,6 @@ def fields(data: bytes, bits: int) -> NDArray[np.int64]:
 
 
 def packed(rows: NDArray[np.int64], bits: int) -> bytes:
-    """Numbers (2, 4), whose lowest bit is their sign, as a packet holds them; for simulators and tests."""
+    """Numbers (2, 4) with the sign in the lowest bit, as a packet holds them; for simulators and tests."""
     digits = (rows.ravel()[:, None] >> np.arange(bits - 1, -1, -1) & 1).astype(np.uint8)
     return np.packbits(digits.ravel()).tobytes()

@@ -12,7 +12,7 @@ SERVICE, MEASUREMENT = "180d", "2a37"
 
 
 class HeartRateMeasurement(NamedTuple):
-    """bpm; contact: None where the sensor cannot tell; energy_kj: None where it is not said; rr_s: oldest first."""
+    """bpm; contact: None where the sensor cannot tell; energy_kj: None if not given; rr_s: oldest first."""
 
     bpm: int
     contact: bool | None

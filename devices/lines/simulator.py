@@ -32,9 +32,9 @@ class SimulatedAsciiLines(Simulator):
     delimiter: str = param(",", help="between two numbers")
     header: bool = param(False, help="print the columns' names every second")
     rate_hz: float = param(500.0, above=0, most=5000, help="lines per second")
-    time: str = param("micros", help="the column of the device's time; empty: none")
+    time: str = param("micros", help="the column of the device's time; empty: no time")
     time_unit: Literal["ns", "us", "ms", "s"] = param("us", help="its unit")
-    counter: str = param("", help="the column that counts lines; empty: none")
+    counter: str = param("", help="the column that counts lines; empty: no counter")
     counter_bits: int = param(16, least=1, most=32, help="after how many bits it starts again")
     seed: int = param(0, least=0, help="another seed, another walk")
 

@@ -208,7 +208,7 @@ class LinesReading:
         return np.asarray((before == rows).all(axis=1))
 
     def _sound(self, rows: Samples, feed: Feed) -> Samples:
-        """The rows whose time and counter are numbers."""
+        """The rows with a numeric time and counter."""
         keys = [c for c in (self._time, self._counter) if c is not None]
         good = (np.abs(rows[:, keys]) < 2**62 / self._ns).all(axis=1) if keys else np.ones(len(rows), bool)
         if not good.all():

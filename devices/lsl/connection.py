@@ -86,7 +86,7 @@ class Connection:
 
 @contextmanager
 def opened(lsl: Any, info: Any, feed: Feed) -> Iterator[Connection | None]:
-    """The stream, open, for as long as the context lasts; None if told to stop first. Raises DeviceError."""
+    """The stream, open, for as long as the context lasts; None if stopped first. Raises DeviceError."""
     inlet = lsl.StreamInlet(info, max_buflen=BUFFER_S, recover=True)
     try:
         full = _in_slices(lsl, inlet.info, feed)
@@ -101,7 +101,7 @@ def opened(lsl: Any, info: Any, feed: Feed) -> Iterator[Connection | None]:
 
 
 def _in_slices(lsl: Any, call: Any, feed: Feed) -> Any:
-    """What the call gives, tried in short slices of time; None if told to stop. Raises DeviceError after `OPEN_S`."""
+    """What the call gives, tried in short slices of time; None if stopped. Raises DeviceError after `OPEN_S`."""
     deadline = time.monotonic() + OPEN_S
     while not feed.stopped:
         try:

@@ -50,9 +50,9 @@ class Wanted:
 
 
 def find(lsl: Any, wanted: Wanted, within_s: float, wait: Wait) -> Any:
-    """The one stream that fits (a StreamInfo without its description), or None if told to stop.
+    """The one stream that fits (a StreamInfo without its description), or None if stopped.
 
-    Of several from one source (an outlet that was restarted) the newest is taken. Raises DeviceError if none comes in time, or if
+    Of several from one source (an outlet that was restarted) the newest is taken. Raises DeviceError if no stream comes in time, or if
     several fit.
     """
     resolver = lsl.ContinuousResolver(pred=wanted.predicate)
@@ -107,7 +107,7 @@ def _absent(lsl: Any, wanted: Wanted, within_s: float) -> str:
 
 def _those(infos: Sequence[Any]) -> str:
     if not infos:
-        return "there is none at all; is its program running, on this network?"
+        return "no stream was found; is its program running, on this network?"
     return f"there are {_listed(infos)}"
 
 

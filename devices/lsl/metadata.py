@@ -21,7 +21,7 @@ class Described:
     format    float32, double64, int8 ... int64, or string
     rate_hz   nominal; 0: irregular
     labels    one per channel; () where they are not all there, or not all different
-    units     as kinegraph spells them: one for all, or one per channel; () where none is stated
+    units     as kinegraph spells them: one for all, or one per channel; () if unknown
     device    manufacturer, model, serial number, and what other such facts it states
     """
 
@@ -67,7 +67,7 @@ def _meta(kind: str) -> dict[str, str]:
 
 
 def describe(xml: str) -> Described:
-    """Read a stream's XML; raises DeviceError where it is none."""
+    """Read a stream's XML; raises DeviceError if it is invalid."""
     try:
         info = ElementTree.fromstring(xml)
     except ElementTree.ParseError as error:

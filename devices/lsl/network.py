@@ -12,7 +12,7 @@ from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.params import param
 
 VARIABLE = "KINEGRAPH_LSL"
-"""Settings for nodes that state none: "machine", or "machine:SESSION"."""
+"""Settings for nodes without their own: "machine", or "machine:SESSION"."""
 QUIET = "[log]\nlevel = -3\n"
 """We report what goes wrong; the library itself prints only what ends the process."""
 LOOPBACK = """[ports]
@@ -77,12 +77,12 @@ def library(network: Network = ANY) -> Any:
 
 
 def unsettled() -> bool:
-    """Whether nobody has said anything about the network so far."""
+    """Whether the network has not been configured yet."""
     return _text is None and VARIABLE not in os.environ
 
 
 def _wanted(network: Network) -> str:
-    """The text of the settings that are asked for; "" if none are."""
+    """The text of the requested settings, or ""."""
     if network != ANY:
         return network.text()
     scope, _, session = os.environ.get(VARIABLE, "").partition(":")

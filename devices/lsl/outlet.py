@@ -53,7 +53,7 @@ class LslOutlet(Outlet[Nothing, LslRuntime]):
 
     json       one text per event: {"onset": ..., "cause": ...}; fields in ns are whole numbers of session time (UTC)
     field      one text per event: the field named in `fields`
-    numbers    a float64 channel for each of `fields` (all, where none are named); fields in ns become seconds after the event's stamp
+    numbers    a float64 channel for each of `fields` (default: all); fields in ns become seconds after the event's stamp
 
     Stamps are those of the samples, on LSL's clock: a delay inside the graph is taken off already, so that listeners need not know of it.
     A gap is a leap of the stamps. In replay the outlet is silent; asked to speak, its first sample is stamped with the present, and

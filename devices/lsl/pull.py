@@ -1,4 +1,4 @@
-"""Reading an open LSL stream: samples to chunks, until told to stop or the stream is lost."""
+"""Reading an open LSL stream: samples to chunks, until stopped or the stream is lost."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Pull:
         self._told = self._asked = time.monotonic()
 
     def run(self) -> None:
-        """Emit what comes. Returns when told to stop; raises DeviceError when the stream is lost."""
+        """Emit what comes. Returns when stopped; raises DeviceError when the stream is lost."""
         connection, feed = self._connection, self._feed
         connection.correction()
         feed.ready()

@@ -58,7 +58,7 @@ class Numbers:
 
 @dataclass(frozen=True, slots=True)
 class Texts:
-    """Events as texts, one a sample. `field`: the one whose text is sent; "": all of them, in JSON."""
+    """Events as texts, one a sample. `field`: the text field to send; "": all of them, in JSON."""
 
     spec: StreamSpec
     field: str = ""

@@ -93,7 +93,7 @@ class Lsl(Simulator):
 
 
 class WalkPackets:
-    """What is said as time passes: packets, each a row of bytes, by the number of samples since LSL's clock stood at 0."""
+    """The packets to send as time passes, each a row of bytes, by the number of samples since LSL's clock stood at 0."""
 
     def __init__(self, of: Lsl) -> None:
         self._of, self._signal = of, of.signal()
@@ -103,7 +103,7 @@ class WalkPackets:
         self.row = np.dtype([("stamp", "<f8"), ("values", "<f4", (count,))])
 
     def say(self, start: int, stop: int) -> list[bytes]:
-        """The packets of samples start..stop-1; none is empty."""
+        """The packets of samples start..stop-1, without empty ones."""
         if stop <= start:
             return []
         if self._of.markers:

@@ -8,7 +8,7 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
 
 MOST_BYTES = 256 << 10
-"""A longer message is none that anybody sends us: it is read from the network, confirmed and dropped."""
+"""A longer message is not for us: it is read, confirmed and dropped."""
 HEAD_BYTES = 70_000
 """What is kept of it: its topic and its number stand there."""
 PIECE_BYTES = 64 << 10

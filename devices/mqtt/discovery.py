@@ -30,10 +30,10 @@ class Entity:
     component      sensor, or binary_sensor
     where          only events whose fields have these values ({final: true})
     values         what a value becomes ({in: "ON", out: "OFF"}); one that is not named becomes unknown
-    alive_s        in place of a field: ON while samples come, OFF when none has for so long
+    alive_s        in place of a field: ON while samples come, OFF after so long without samples
     every_s        a signal is reported at most this often
     decimals       of numbers
-    expire_after_s after how long without news Home Assistant shows the entity as unavailable; what has not changed is said again in time
+    expire_after_s after how long without news Home Assistant shows the entity as unavailable; unchanged states are repeated in time
     device_class   `timestamp`: the field is a time in ns, reported as ISO 8601
     name, unit, device_class, state_class, category (diagnostic), icon   as Home Assistant takes them
     """

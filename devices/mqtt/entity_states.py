@@ -1,4 +1,4 @@
-"""The states of entities: told where they have changed, or are about to be forgotten."""
+"""The states of entities, sent when they change or are about to expire."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from kinegraph.devices.mqtt.fields import chosen
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec, utc
 
 REFRESH = 0.4
-"""A state that has not changed is said again after this share of its `expire_after_s`."""
+"""An unchanged state is repeated after this share of its `expire_after_s`."""
 
 
 class EntityStates:
-    """What has been told of entities."""
+    """The last sent states of entities."""
 
     def __init__(self, entities: Mapping[str, Entity], specs: Specs) -> None:
         self._entities, self._specs = entities, specs
         self.sent: dict[str, tuple[str, float, int]] = {}
-        """Per entity: the state told last, when (monotonic s), and the sample's time."""
+        """Per entity: the last sent state, when (monotonic s), and the sample's time."""
         self._newest: dict[str, int] = {}
         """Per stream, the newest sample's stamp."""
 
     def changed(self, port: str, chunk: Chunk) -> Iterator[tuple[str, str]]:
-        """The entities, by name, whose state is to be told after a chunk of the stream `port`, and the state."""
+        """The entities, by name, with a state to send after a chunk of the stream `port`, and the state."""
         if len(chunk):
             self._newest[port] = int(chunk.time[-1])
         for name, entity in self._entities.items():

@@ -35,7 +35,7 @@ log = structlog.get_logger(__name__)
 class Broker:
     """Where the broker is and how it is spoken to.
 
-    password_file   a file whose first line is the password, so that the graph holds none (which every recording holds a copy of)
+    password_file   a file with the password in its first line, so that the graph, copied into every recording, has no password
     tls             encrypted, the broker's certificate checked by the system's authorities, or by `ca_file`
     """
 
@@ -82,7 +82,7 @@ def _untold(parameter: str, accepts: str) -> ParameterError:
 
 
 class BrokerConnection:
-    """A thread that keeps a connection to the broker. Everything it is given while there is none is the caller's to say again.
+    """A thread that keeps a connection to the broker. The caller repeats what it was given without a connection.
 
     greeting       topic that says `online` (retained) while we are there; the broker itself says `offline` when we vanish
     subscriptions  topics that are heard

@@ -1,6 +1,6 @@
 """What waits for the broker: the newest state of every topic, and messages, each of which arrives once and in order.
 
-Nothing here knows a network. `flush` hands out what may be said now; `delivered` and `remembered` say what has arrived.
+Nothing here knows a network. `flush` hands out what may be sent now; `delivered` and `remembered` say what has arrived.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class MessageQueue:
         self._lock = threading.RLock()
         self._states: dict[str, str] = {}
         self._unsaid: dict[str, None] = {}
-        """Topics whose newest state was not handed out yet, in order."""
+        """Topics with a state that was not handed out yet, in order."""
         self._messages: deque[QueuedMessage] = deque()
         self._posted: dict[str, int] = {}
         self._arrived: dict[str, int] = json.loads(state.arrived)
@@ -82,7 +82,7 @@ class MessageQueue:
             self._unsaid[topic] = None
 
     def post(self, topic: str, key: int, text: str) -> None:
-        """A message. One whose key is not newer than what has arrived, or waits, on its topic was sent before: it is left out."""
+        """Add a message, unless its key is not newer than what has arrived or waits on its topic: it was sent before."""
         with self._lock:
             if key <= self.newest(topic):
                 return
@@ -95,19 +95,19 @@ class MessageQueue:
             self._messages.append(QueuedMessage(topic, key, text))
 
     def newest(self, topic: str) -> int:
-        """The newest key that has arrived or waits; -1 if there is none."""
+        """The newest key that has arrived or waits, or -1."""
         with self._lock:
             return max(self._posted.get(topic, -1), self._arrived.get(topic, -1))
 
     def open(self) -> None:
-        """The connection stands, and what the broker remembers has been reported: everything may be said."""
+        """The connection stands, and the broker's retained messages are known: everything may be sent."""
         with self._lock:
             self._ready = True
             self._unsaid = dict.fromkeys(self._states)
             self.flush()
 
     def shut(self) -> None:
-        """The connection is lost: what was on its way is said again, unless the broker turns out to have it."""
+        """The connection is lost: what was on its way is sent again, unless the broker turns out to have it."""
         with self._lock:
             self._ready = False
             for message in self._messages:
@@ -120,7 +120,7 @@ class MessageQueue:
             self.flush()
 
     def flush(self) -> None:
-        """Hand out what may be said now."""
+        """Hand out what may be sent now."""
         with self._lock:
             if not self._ready:
                 return

@@ -11,17 +11,17 @@ from typing import Any
 from kinegraph.devices.mqtt.discovery import Device, Topics, shared
 
 EVERY_S = 5.0
-"""How often a folder is looked at, in the machine's time: a report is drawn by another process, which tells nobody."""
+"""How often a folder is looked at, in the machine's time: another process draws the report, without notice."""
 NAME = "report"
 
 
 @dataclass(frozen=True, slots=True)
 class ReportNews:
-    """Tell when a night's report is ready: an entity "Report" whose state is the night in one line, with `night` and `address` beside it.
+    """Tell when a night's report is ready: an entity "Report" with the night in one line as its state, and `night` and `address` beside it.
 
     nights    the folder of all nights, as `devices.reports.night.NightLog` has it
     address   what the folder is reached at from elsewhere, e.g. http://pi.local:8000; left out: the file's own path
-    sleeper   whose, where there are several
+    sleeper   the sleeper's name, if there are several
     """
 
     nights: str
@@ -30,7 +30,7 @@ class ReportNews:
 
 
 class ReportWatch:
-    """Looks for a new report, and says what is to be told: (topic, text)."""
+    """Looks for a new report, and returns what to send: (topic, text)."""
 
     def __init__(self, news: ReportNews, topics: Topics) -> None:
         self._news, self._topics = news, topics
@@ -38,7 +38,7 @@ class ReportWatch:
         self._told: tuple[str, int] = ("", 0)
 
     def look(self, *, now: bool = False) -> list[tuple[str, str]]:
-        """Nothing, unless a report is there that was not told of yet."""
+        """Empty without a report that was not announced yet."""
         moment = time.monotonic()
         if not now and moment - self._looked < EVERY_S:
             return []

@@ -59,7 +59,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
     `history` sends events one by one as JSON to base/device/history/stream, each once and in order, also over a broker that was away, a
     killed process and `--resume`: the checkpoint, the file `ledger` and the broker's own retained message say what has arrived. With no
     broker up to 6000 events wait; older ones are dropped, counted and logged. When the session ends, the broker is tried once more, and
-    given 20 s to take what waits; what it does not take is forgotten, and its number told.
+    given 20 s to take what waits; the rest is dropped and counted.
 
     `report` names the folder of a night's log: the newest report is summed up in one line, with its address beside it.
 
@@ -77,7 +77,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
     device: Device = param(Device(), help="the device in Home Assistant that all entities belong to")
     history: tuple[SentEvents, ...] = param((), help="events that are sent one by one")
     base: str = param("kinegraph", help="what all topics begin with")
-    discovery: str = param("homeassistant", help="the prefix of discovery messages; left empty: none are sent")
+    discovery: str = param("homeassistant", help="the prefix of discovery messages; empty: no discovery")
     report: ReportNews | None = param(None, help="announce when a night's report is ready, and its address")
     ledger: str = param("", help="a file that remembers over a power cut which events were sent")
 

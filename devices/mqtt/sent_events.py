@@ -1,4 +1,4 @@
-"""Events that are sent one by one: which, and what is said of each."""
+"""Events that are sent one by one: which, and with which fields."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class SentEvents:
     key     an integer field that grows from event to event; by it what was sent already is known again
     log     the folder of a `devices.reports.night.NightLog`, where these are final epochs: after a crash, what stands there and was not
             sent is sent as it stands, so that the two always agree (put the log before this outlet in the graph)
-    sleeper whose nights of that folder, where there are several
+    sleeper the sleeper's name in that folder, if there are several
     """
 
     of: str
@@ -50,7 +50,7 @@ class SentEvents:
     def logged_after(self, newest: int, session: str) -> Iterator[tuple[int, str]]:
         """Key and text of each event that a night's log has, and that was not sent, as the session was killed in between.
 
-        newest: the last key that was sent; -1: none was.
+        newest: the last key that was sent, or -1.
         """
         from kinegraph.devices.reports.night import archive
 

@@ -42,11 +42,11 @@ class MqttSwitch(Source):
 
     name: str = param(help="what it is called in topics: letters, digits, - and _")
     title: str = param("", help="its name in Home Assistant; left out: `name`")
-    initial: bool = param(False, help="what it is while nobody has ever switched it")
+    initial: bool = param(False, help="its state before it was ever switched")
     broker: Broker = param(Broker(), help="where the broker is")
     device: Device = param(Device(), help="the device in Home Assistant that it belongs to")
     base: str = param("kinegraph", help="what all topics begin with")
-    discovery: str = param("homeassistant", help="the prefix of discovery messages; left empty: none are sent")
+    discovery: str = param("homeassistant", help="the prefix of discovery messages; empty: no discovery")
     icon: str = param("", help="such as mdi:lightbulb")
 
     def specs(self) -> Specs:
@@ -70,7 +70,7 @@ class MqttSwitch(Source):
 
 
 class _Hand:
-    """One opening of the switch. `on`: what it is; `settled`: whether somebody has said so."""
+    """One opening of the switch. `on`: what it is; `settled`: whether somebody has set it."""
 
     def __init__(self, of: MqttSwitch) -> None:
         self._of, self._topics = of, Topics(of.base, of.device.id, of.discovery)
@@ -83,7 +83,7 @@ class _Hand:
         )  # fmt: skip
 
     def switched(self, timeout_s: float) -> bool | None:
-        """Wait for the switch; None if nobody touches it."""
+        """Wait for the switch; None after the timeout."""
         try:
             return self._switched.get(timeout=timeout_s)
         except Empty:
@@ -106,7 +106,7 @@ class _Hand:
             log.warning("MQTT message is neither ON nor OFF", topic=topic, text=text[:MOST_SHOWN])
 
     def _turn(self, on: bool, topic: str, retained: bool) -> None:
-        """A command, or at the start what the broker remembers; a command that the broker kept from long ago is none."""
+        """A command, or at the start what the broker remembers; an old retained command is ignored."""
         commanded = topic == self._topics.command(self._of.name)
         if commanded == retained or (not commanded and self._settled):
             return

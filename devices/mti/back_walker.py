@@ -17,7 +17,7 @@ from kinegraph.stream.source import Feed, Source
 class BackWalker(Source):
     """A person of one of two manners of walking, in real time: 25 s of walking with a turn, 5 s of standing, and so on.
 
-    imu, timing   of `devices.mti.Mti`, whose protocol is spoken on a pseudo-terminal
+    imu, timing   of `devices.mti.Mti`, read through a pseudo-terminal
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("imu", "timing")

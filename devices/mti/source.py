@@ -31,7 +31,7 @@ Measure = Literal["acceleration", "angular_velocity", "magnetic_field", "orienta
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What can be measured: its identifier, that of its high-rate sibling (0: it has none), its channels and their unit."""
+    """What can be measured: its identifier, that of its high-rate sibling (0: missing), its channels and their unit."""
 
     identifier: int
     fast: int

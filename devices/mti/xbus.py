@@ -132,7 +132,7 @@ class XbusRun(msgspec.Struct, eq=False, gc=False):
 
 
 class XbusFrames(msgspec.Struct, eq=False, gc=False):
-    """What a feed brought: runs of messages in order, bytes that belonged to none, and how often a beginning had to be looked for."""
+    """What a feed brought: runs of messages in order, bytes outside messages, and how often it had to resynchronise."""
 
     runs: list[XbusRun]
     dropped: int
@@ -195,7 +195,7 @@ _NONE = XbusLayout(0, 0, 0, (), np.zeros(0, np.int64))
 
 
 def _layout(buffer: bytes, at: int) -> XbusLayout | None:
-    """How the message at `at` is laid out; `_NONE` if none can be there, None if that is not yet known."""
+    """How the message at `at` is laid out; `_NONE` if there is no message, None if that is not yet known."""
     if not HEAD.startswith(buffer[at : at + 2]):
         return _NONE
     if len(buffer) < at + 4:

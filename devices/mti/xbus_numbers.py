@@ -21,7 +21,7 @@ FRACTION_20, FRACTION_32 = 2.0**20, 2.0**32
 def sound(raw: Bytes, at: int, size: int, most: int, fixed: Times, values: Bytes) -> int:
     """How many messages of `size` bytes follow each other in `raw` from `at`, `most` at most, up to the first that is not right.
 
-    Right is one whose bytes after the first add up to 0 mod 256, and whose bytes at `fixed` (k,) are `values` (k,).
+    A valid one has bytes after the first that add up to 0 mod 256, and `values` (k,) at `fixed` (k,).
     """
     n = min((len(raw) - at) // size, most)
     for message in range(n):

@@ -52,7 +52,7 @@ class NatNetNames:
         self._outputs = [(OUTPUTS.index(name), name) for name in of.outputs if name in OUTPUTS]
 
     def rows(self, payload: bytes, sized: bool, head: Times) -> list[tuple[str, Samples]] | None:
-        """By output, its samples in a frame; None where it is cut off, or its time is none. `head` as `natnet_numbers.numbers` has it."""
+        """By output, its samples in a frame; None if it is cut off, or has no valid time. `head` as `natnet_numbers.numbers` has it."""
         made = positions, rotations, points, analog = [np.empty(shape) for shape in self._shapes]
         data = np.frombuffer(payload, np.uint8)
         if not numbers(data, sized, self._wanted, positions, rotations, points, analog, head):

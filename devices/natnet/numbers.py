@@ -22,7 +22,7 @@ HEAD = 4
 
 
 OF, ID, PART = 0, 1, 2
-"""Columns of the table of what is wanted. Of a body: the id of its skeleton (0: it has none), its own id; of a marker: the id of its model,
+"""Columns of the table of what is wanted. Of a body: the id of its skeleton (0: no skeleton), its own id; of a marker: the id of its model,
 its number; of a channel: 0 (of a force plate) or 1 (of a device), the id of that, the channel's number."""
 
 
@@ -30,7 +30,7 @@ its number; of a channel: 0 (of a force plate) or 1 (of a device), the id of tha
 def numbers(
     data: Bytes, sized: bool, wanted: Times, positions: Samples, rotations: Samples, points: Samples, analog: Samples, head: Times
 ) -> bool:  # fmt: skip
-    """Read a frame's payload (n,); False: it is cut off, or its time is none.
+    """Read a frame's payload (n,); False: it is cut off, or has no valid time.
 
     sized      whether each section says how long it is (from version 4.1 on)
     wanted     (b + m + c, 3)  bodies, markers, channels, in the order of the rows that they go to
@@ -75,7 +75,7 @@ def numbers(
         return False
     at = end if sized else at
     if sized:
-        n, _, at = _section(data, at, sized)  # assets, whose markers are among the labelled ones
+        n, _, at = _section(data, at, sized)  # assets; their markers are among the labelled ones
         if n < 0:
             return False
     n, at, end = _section(data, at, sized)
@@ -132,7 +132,7 @@ def _behind(at: int, end: int, size: int) -> int:
 
 @kernel
 def _behind_text(data: Bytes, at: int, end: int) -> int:
-    """Behind the zero that ends a text; -1: there is none."""
+    """The offset behind the zero that ends a text, or -1."""
     if at < 0:
         return -1
     for i in range(at, end):
@@ -209,7 +209,7 @@ def _channels(
 
 @kernel
 def _tail(data: Bytes, at: int, more: int, head: Times) -> bool:
-    """The times at a frame's end, and its flags behind `more` bytes; False: it is cut off, or its time is none."""
+    """The times at a frame's end, and its flags behind `more` bytes; False: it is cut off, or has no valid time."""
     if at + 32 + more + 2 > len(data):
         return False
     double = np.zeros(1, np.int64)

@@ -209,7 +209,7 @@ class NatNetLink:
                 feed.problem("no NatNet message")
                 continue
             except OSError:
-                continue  # an earlier message found nobody there
+                continue  # an earlier message found no receiver
             found.append((kind, payload, feed.now()))
             if kind == protocol.FRAME:
                 self.heard = time.monotonic()

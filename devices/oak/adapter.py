@@ -36,7 +36,7 @@ def message_of(dai: Any, message: Any) -> Message:
 
 
 def image_of(dai: Any, message: Any) -> Message:
-    """What is needed of an image: grey (GRAY8, RAW8) or colour (RGB888i). Raises DeviceError where it is none of these."""
+    """What is needed of an image: grey (GRAY8, RAW8) or colour (RGB888i). Raises DeviceError for any other kind."""
     return _taken(dai, message, ("GRAY8", "RAW8", "RGB888i"), "an image of 8 bits")
 
 

@@ -1,6 +1,6 @@
 """A network's archive for an OAK camera (Luxonis' NNArchive): whether it is one, and which key points of a body it gives.
 
-It is read without depthai, so that what is wrong with it is said before a camera is opened.
+It is read without depthai, so that its errors are reported before a camera is opened.
 """
 
 from __future__ import annotations
@@ -36,9 +36,7 @@ def pose_archive(path: str) -> PoseArchive:
     model = config.get("model")
     heads = model.get("heads") if isinstance(model, dict) else None
     if not isinstance(model, dict) or not isinstance(heads, list) or not heads:
-        raise _wrong(
-            path, "an archive whose config names the network's heads (it has none: it was made without a parser)"
-        )
+        raise _wrong(path, "an archive whose config names the network's heads (this one was made without a parser)")
     found = []
     for head in heads:
         facts = head.get("metadata") if isinstance(head, dict) else None
@@ -49,7 +47,7 @@ def pose_archive(path: str) -> PoseArchive:
             return PoseArchive(str(about.get("name", "")) if isinstance(about, dict) else "", points)
     raise _wrong(
         path,
-        f"a pose network whose parser is {PARSER} and which gives key points of a body, one of {KNOWN}; "
+        f"a pose network with the parser {PARSER} that gives key points of a body, one of {KNOWN}; "
         f"this one is {', '.join(found)}",
     )
 
@@ -68,7 +66,7 @@ def _config(path: str) -> dict[str, Any]:
         with tarfile.open(path) as archive:
             named = [m for m in archive.getmembers() if m.isfile() and m.name.removeprefix("./") == CONFIG]
             if not named:
-                raise _wrong(path, f"an NNArchive: a tar archive with {CONFIG} in it; this archive has none")
+                raise _wrong(path, f"an NNArchive: a tar archive with {CONFIG} in it; this archive lacks it")
             entry = archive.extractfile(named[0]) if named[0].size <= MOST_BYTES else None
             config = json.loads(entry.read()) if entry else None
     except (tarfile.TarError, EOFError, OSError, lzma.LZMAError, zlib.error) as error:

@@ -18,7 +18,7 @@ BATCH = 10
 
 
 class CameraLink:
-    """The state of the connection, told by depthai from a thread of its own: RUNNING, DISCONNECTED, RECONNECTING or FAILED."""
+    """The state of the connection, from a thread of depthai: RUNNING, DISCONNECTED, RECONNECTING or FAILED."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -47,7 +47,7 @@ class CameraLink:
 
 @dataclass(slots=True)
 class Camera:
-    """A camera whose pipeline runs.
+    """A camera with a running pipeline.
 
     depth      queue of depth frames
     imu        queue of inertial packets, where they are wanted

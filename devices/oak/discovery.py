@@ -13,7 +13,7 @@ YAML = "use: devices.oak.Oak\ndevice: {device}"
 
 
 def find() -> Iterator[FoundDevice]:
-    """Every camera, those too that may not be used yet; none where depthai is not installed."""
+    """Every camera, also those without permission; nothing if depthai is not installed."""
     if find_spec("depthai") is None:
         return
     dai = library()

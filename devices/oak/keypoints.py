@@ -46,7 +46,7 @@ class Sight(NamedTuple):
 
 
 def sight_of(message: Any) -> Sight:
-    """depthai's SpatialImgDetections. Raises DeviceError where the network's key points are none that are known."""
+    """depthai's SpatialImgDetections. Raises DeviceError for an unknown set of key points."""
     people = []
     for person in message.detections:
         points = person.getKeypoints()
@@ -104,7 +104,7 @@ def _add_head(places: Samples, confidence: Samples) -> None:
 
 
 class FollowedPerson:
-    """The one person of several whose markers are given: the nearest at first, then the same one."""
+    """The person to follow among several: the nearest at first, then the same one."""
 
     def __init__(self) -> None:
         self._place: Samples | None = None
@@ -158,7 +158,7 @@ class Keypoints:
         self._depths.append((device, stamp))
 
     def see(self, sight: Sight) -> None:
-        """The network has said what it saw."""
+        """The network has given a result."""
         self._waiting.append(sight)
 
     def take(self) -> list[tuple[Chunk, Chunk]]:

@@ -1,4 +1,4 @@
-"""The library depthai: imported when a camera is used, and told to keep what it sees to itself."""
+"""The library depthai: imported when a camera is used, with its telemetry switched off."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ QUIET = {
     "DEPTHAI_DISABLE_CRASHDUMP_COLLECTION": "1",
     "DEPTHAI_LEVEL": "error",
 }
-"""Its own settings: it reports its use to its maker over the Internet unless told not to, which a camera in a bedroom must not."""
-NONE = "no OAK camera was found; is it connected, with a cable that carries data (USB 3)? `kinegraph devices oak` lists those that are"
+"""Its own settings: it reports its use to its maker over the Internet by default, which a camera in a bedroom must not."""
+NOT_FOUND = "no OAK camera was found; is it connected, with a cable that carries data (USB 3)? `kinegraph devices oak` lists those that are"
 
 
 def library() -> Any:
@@ -54,7 +54,7 @@ def permission() -> str:
 def missing(seen: Sequence[Any], device: str) -> str:
     """What to say of a camera that is not among those that can be seen; "" where it is."""
     if not seen and not device:
-        return NONE
+        return NOT_FOUND
     if not device or any(device in (i.deviceId, i.name) for i in seen):
         return ""
     there = ", ".join(i.deviceId or i.name for i in seen) or "no others"

@@ -81,7 +81,7 @@ def located(dai: Any, pipeline: Any, of: WantedNetwork, depth: Any, detections: 
 
 
 def carried_over(detections: Any, depth: Any) -> Any:
-    """ImgDetections in the image of a depth frame, whose lens is another perhaps, or which is cut or has no borders.
+    """ImgDetections in the image of a depth frame, perhaps of another lens, cut or without borders.
 
     A point outside the image gets the confidence 0: depthai takes shares above 1 for pixels, of which it makes places in the image.
     """

@@ -47,7 +47,7 @@ class KeypointSight:
         return dai.ImgTransformation(self._width, self._height, [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
     def points(self, index: int, seconds: float) -> Samples:
-        """Of the one person (17, 3): x and y in shares of the image, confidence; (0, 3) where nobody is there."""
+        """Of the one person (17, 3): x and y in shares of the image, confidence; (0, 3) without a person."""
         if seconds < EMPTY_S:
             return np.empty((0, 3))
         places = coco_at(seconds)

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from kinegraph.devices.oak.camera import QUEUE, Camera, CameraLink
-from kinegraph.devices.oak.library import NONE, library
+from kinegraph.devices.oak.library import NOT_FOUND, library
 from kinegraph.devices.oak.network import located
 from kinegraph.devices.oak.simulated_keypoints import KeypointSight
 from kinegraph.devices.oak.source import Oak as OakSource
@@ -49,7 +49,7 @@ class OakSimulator(Simulator):
     """An OAK depth camera above a bed with a sleeper in it (Luxonis, through depthai itself).
 
     With `image` or `network` it stands before a person who walks on the spot and moves the arms, rendered in depth and grey (colour: grey
-    three times). With `network` it runs none, but gives what a pose network would: key points of that person in the image, a little off, as
+    three times). With `network` it gives what a pose network would: key points of that person in the image, a little off, as
     depthai's detections; depthai's own nodes put them in space.
 
     Besides what goes wrong with every device, the picture may freeze (the same frame under new numbers), or be blind (no pixel valid).
@@ -59,7 +59,7 @@ class OakSimulator(Simulator):
     width: int = param(640, least=16, help="pixels in a row")
     height: int = param(400, least=16, help="rows")
     fps: float = param(30.0, above=0, most=240, help="frames per second")
-    imu_hz: float = param(0.0, least=0, most=1000, help="inertial packets per second; 0: none")
+    imu_hz: float = param(0.0, least=0, most=1000, help="inertial packets per second; 0: off")
     image: str = param("", help="mono or colour: images beside the depth, of someone who moves before the camera")
     network: bool = param(False, help="key points, as of a pose network on the camera, of someone who moves before it")
     seed: int = param(0, least=0, help="another seed, another night")
@@ -103,7 +103,7 @@ class OakSimulator(Simulator):
 
 
 class SimulatedCamera:
-    """The camera at the end of its cable. What it sees begins when it is opened first, and goes on while nobody looks.
+    """The camera at the end of its cable. What it sees begins when it is opened first, and goes on between openings.
 
     So a room that is empty at first is seen empty, however long the session took to get ready.
     """
@@ -139,7 +139,7 @@ class SimulatedCamera:
         """As a real camera is opened. Raises DeviceError while the cable is out."""
         self._begin()
         if self.out():
-            raise DeviceError(NONE)
+            raise DeviceError(NOT_FOUND)
         with dai.Pipeline(createImplicitDevice=False) as pipeline:
             node = self._node(dai, pipeline, link)
             depth = node.depth.createOutputQueue(maxSize=QUEUE, blocking=False)

@@ -95,7 +95,7 @@ class Oak(Source):
         0.0, least=0.0, most=1.0, help="intensity of the infrared flood light (models named Pro); 0: off"
     )
     lit_room: bool = param(False, help="the room stays light all night, so that a stereo camera needs no projector")
-    imu_hz: float = param(0.0, least=0, most=1000, help="rate of the inertial output; 0: there is none")
+    imu_hz: float = param(0.0, least=0, most=1000, help="rate of the inertial output; 0: off")
     lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened again")
     reconnect_s: float = param(30.0, above=0, help="how long depthai may try to reach a camera that was unplugged")
     latency_s: float = param(0.0, least=0, most=1, help="how long before its stamp a frame really was taken")
@@ -165,7 +165,7 @@ class Oak(Source):
         self.check_network()
 
     def check_network(self) -> None:
-        """Raises ParameterError where the archive of the network is none, or none of a pose network."""
+        """Raises ParameterError unless the archive holds a pose network."""
         if self.network:
             pose_archive(self.network)
 
@@ -197,7 +197,7 @@ class _CameraReading:
         self._heard = self._saw = time.monotonic()
 
     def run(self) -> None:
-        """Until told to stop; raises DeviceError when the camera is lost."""
+        """Runs until stopped; raises DeviceError when the camera is lost."""
         self._light()
         wait = timedelta(milliseconds=10 if self._motion or self._images or self._points else 100)
         while not self._feed.stopped:
@@ -298,6 +298,6 @@ class _CameraReading:
             raise DeviceError(f"no frame from the OAK camera for {self._patience_s:g} s, though it is connected")
         elif self._points and self._heard - self._saw > self._patience_s:
             raise DeviceError(
-                f"the network on the OAK camera has said nothing for {self._patience_s:g} s, though depth comes: does it run on this "
+                f"the network on the OAK camera has given nothing for {self._patience_s:g} s, though depth comes: does it run on this "
                 "camera? (write a lower fps if it is slow)"
             )

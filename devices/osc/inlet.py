@@ -208,5 +208,5 @@ class OscReading:
 
 
 def _number(argument: Argument) -> float:
-    """NaN for what is none."""
+    """NaN for what is not a number."""
     return float(argument) if isinstance(argument, (int, float)) else math.nan

@@ -32,7 +32,7 @@ class OscOutlet(Outlet[OscState, OscRuntime]):
     """Sends each sample of a signal as a bundle of OSC 1.0 messages, one per channel: `address`/CHANNEL with one float32, by UDP.
 
     A channel's name has "_" for every character that OSC addresses do not take. A value that is not finite is not sent. In replay the
-    outlet is silent. UDP tells nobody what is lost.
+    outlet is silent. UDP does not report what is lost.
     """
 
     host: str = param("127.0.0.1", help="who receives")

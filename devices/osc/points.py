@@ -52,7 +52,7 @@ class OscPoints(Outlet[OscPointsState, OscPointsRuntime]):
         names = spec.channels or tuple(map(str, range(spec.shape[0])))
         addresses = tuple(f"{self.address}/{_plain(name)}" for name in names)
         if len(set(addresses)) < len(addresses):
-            raise InputError("in", spec.describe(), "points whose names differ in letters or digits")
+            raise InputError("in", spec.describe(), "points with names that differ in letters or digits")
         self.set_state(OscPointsState(), OscPointsRuntime(addresses))
         return {}
 

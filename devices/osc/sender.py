@@ -38,7 +38,7 @@ class OscSender:
             self._silent = max(0, self._silent - 1)
         except OSError as error:
             if not self._silent:
-                log.warning(f"nobody receives {self._what}", receiver=self._where, error=str(error))
+                log.warning(f"no receiver for {self._what}", receiver=self._where, error=str(error))
             self._silent = BACK_AFTER
 
     def close(self) -> None:

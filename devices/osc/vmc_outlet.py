@@ -46,7 +46,7 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
     """Sends every pose as a frame of the VMC protocol: one bundle, or several below `most_bytes`, by UDP.
 
     pose    a stream of poses. One of another skeleton than VRM's is turned into it by the names of its joints, or by `bones`
-    blends  weights (0 to 1) of blend shapes, a signal whose channels are called as the avatar's: Joy, A, Blink_L
+    blends  weights (0 to 1) of blend shapes, a signal with channels named as the avatar's: Joy, A, Blink_L
 
     `avatar` names the VRM file that the receiver shows: bones go out with its lengths, and the hips are moved as far as its legs are
     long. A pose that is not finite is not sent. Bones that a pose does not have (fingers, eyes) are not sent: the receiver keeps them.
@@ -111,7 +111,7 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
             runtime.silent = max(0, runtime.silent - 1)
         except OSError as error:
             if not runtime.silent:
-                log.warning("nobody receives VMC", host=self.host, port=self.port, error=str(error))
+                log.warning("no receiver for VMC", host=self.host, port=self.port, error=str(error))
             runtime.silent = BACK_AFTER
 
     def close(self) -> None:

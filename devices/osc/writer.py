@@ -14,7 +14,7 @@ def floats(address: str, values: Sequence[float]) -> bytes:
 
 
 def bundles(elements: Iterable[bytes], most: int = SAFE_BYTES) -> Iterator[bytes]:
-    """Bundles of these elements, in their order, none longer than `most` bytes where an element alone is not."""
+    """Bundles of these elements, in their order, at most `most` bytes long unless a single element is longer."""
     waiting, size = [BUNDLE], len(BUNDLE)
     for element in elements:
         if len(waiting) > 1 and size + len(element) > most:

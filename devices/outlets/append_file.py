@@ -19,7 +19,7 @@ log = structlog.get_logger(__name__)
 
 
 class AppendFile:
-    """Lines go to the operating system at once, so that `kill -9` loses none.
+    """Lines go to the operating system at once, so that `kill -9` loses nothing.
 
     When writing fails, lines wait in memory and are tried again every second; what does not fit there is dropped and counted.
 
@@ -43,7 +43,7 @@ class AppendFile:
             self._cut_back()
 
     def write(self, lines: bytes) -> int:
-        """Append whole lines. Returns how many lines had to be dropped instead (all or none)."""
+        """Append whole lines. Returns how many lines had to be dropped instead (all or 0)."""
         if len(self.pending) + len(lines) > PENDING_BYTES and not self._flush():
             lost = lines.count(b"\n")
             self.dropped += lost

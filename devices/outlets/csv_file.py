@@ -53,7 +53,7 @@ class CsvFile(Outlet[CsvState, CsvRuntime]):
     before the row (-1: unknown); then the channels or fields. Fields in ns (onset, end) are given in seconds like
     `seconds`, and left empty where they are not known (0 or less). Numbers are written so that reading them gives the same bits.
 
-    A file is never overwritten unless told; one that a session still writes to is refused. After a crash it is cut back to what the
+    A file is overwritten only on request; one that a session still writes to is refused. After a crash it is cut back to what the
     checkpoint knew and continued, so that no row is doubled or missing. While the disk is full rows wait in memory (8 MiB), and are
     dropped and counted beyond.
     """

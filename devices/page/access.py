@@ -40,7 +40,7 @@ def new_token() -> str:
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """token    what a client must show; "": none, on loopback only
+    """token    what a client must show; "": no token, on loopback only
     port        where the server listens
     encrypted   whether browsers must never send the cookie in the clear
     here        whether only this machine reaches it

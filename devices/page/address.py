@@ -51,7 +51,7 @@ def _own_address(everywhere: str) -> str:
 
 
 def parsed(address: str, certificate: str = "", key: str = "", *, no_token: bool = False) -> Address:
-    """HOST, HOST:PORT or :PORT. Raises KinegraphError for what is none of these, and for one that other machines reach without a token."""
+    """HOST, HOST:PORT or :PORT. Raises KinegraphError for anything else, and for one that other machines reach without a token."""
     host, colon, port = address.rpartition(":") if not address.endswith("]") else (address, "", "")
     host = (host if colon else address).strip("[]") or "127.0.0.1"
     if colon and not (port.isdigit() and int(port) < 65536):

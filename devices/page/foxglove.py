@@ -2,7 +2,7 @@
 
 Signals, events, markers and poses are JSON messages, one per sample, as `kinegraph files export --format foxglove` writes them; depth
 frames are `foxglove.RawImage`. A stream is asked for while somebody subscribes to it. The protocol knows no token, and the SDK looks at no
-Origin; so it is served to this machine alone, and nobody steers the session by it.
+Origin; so it is served to this machine alone, and cannot control the session.
 """
 
 from __future__ import annotations

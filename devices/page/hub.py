@@ -42,7 +42,7 @@ class Looking:
         self.analyses: dict[int, Analyse] = {}
 
     def see(self, streams: dict[int, int]) -> None:
-        """Look at these streams, and at no others; one whose width has changed is sent from its beginning."""
+        """Look at these streams, and at no others; one with a new width is sent from its beginning."""
         self.numbers = {s: n for s, n in self.numbers.items() if self.widths.get(s) == streams.get(s, -1)}
         self.widths = streams
 
@@ -50,7 +50,7 @@ class Looking:
 class Hub:
     """A live session, as far as the page's server has heard of it.
 
-    ask   told the streams that somebody looks at, and what clients want of the session
+    ask   called with the streams in view, and with what clients ask of the session
     """
 
     def __init__(self, ask: Callable[[dict[str, Any]], None]) -> None:
@@ -153,7 +153,7 @@ class Hub:
             case SetPace() | StepOn() | Seek() if self.hello["mode"] != "replay":
                 raise ValueError("only a replay can be held or moved")
             case Mark() | Tell() if self.hello["mode"] != "live":
-                raise ValueError("a replay repeats what was said")
+                raise ValueError("a replay takes no input")
             case Tell(node) if node not in {value["node"] for value in self.hello["values"]}:
                 raise ValueError("there is no such value")
             case _:

@@ -243,7 +243,7 @@ class LivePage:
                 channel.wanted[:] = [number in wanted for number in range(len(self._specs))]
             case what if what in self._steered:
                 self._steered[what](**asked)
-                log.info(SAID[what], **asked)
+                log.info(MESSAGES[what], **asked)
 
 
 def _pages(file: Path, since_s: float) -> list[Path]:
@@ -275,7 +275,7 @@ class FoxgloveLane(LivePage):
         return f"ws://{self._address.host}:{port}"
 
 
-SAID = {
+MESSAGES = {
     "tell": "set on the page",
     "mark": "annotated on the page",
     "pace": "replay speed",

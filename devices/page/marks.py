@@ -53,7 +53,7 @@ class Marks:
 
 
 def shown_with(panels: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Panels that show annotations show the marks as well; where none does, there is a table of them."""
+    """Panels that show annotations show the marks as well; without such a panel there is a table of them."""
     made = [{**p, "of": [*p["of"], MARKS]} if "annotations" in p["of"] and MARKS not in p["of"] else p for p in panels]
     return (
         made

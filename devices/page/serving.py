@@ -213,7 +213,7 @@ def _plain(status: HTTPStatus, text: str) -> Response:
 
 
 def tls_context(certificate: str, key: str) -> ssl.SSLContext | None:
-    """What encrypts connections; None where no certificate was given. Raises OSError or ssl.SSLError for files that are none."""
+    """What encrypts connections; None where no certificate was given. Raises OSError or ssl.SSLError for invalid files."""
     if not certificate:
         return None
     context: Any = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)

@@ -46,7 +46,7 @@ NAP_S, NAP_LENGTH_S = 4000.0, 600.0
 
 @dataclass(frozen=True, slots=True)
 class Extras:
-    """What else is in the room. The lamp is on while nobody is in bed: it makes a patch of the frame noisier and partly invalid."""
+    """What else is in the room. The lamp is on while the bed is empty: it makes a patch of the frame noisier and partly invalid."""
 
     pet: bool = True
     lamp: bool = True

@@ -67,7 +67,7 @@ class Bedside(Source):
     exits: int = param(2, least=0, help="how often the sleeper gets up at night")
     sleepers: int = param(1, least=1, most=2, help="how many lie in the bed")
     pet: bool = param(True, help="a cat walks by, and lies on the bed for ten minutes")
-    lamp: bool = param(True, help="a lamp disturbs the camera while nobody is in bed")
+    lamp: bool = param(True, help="a lamp disturbs the camera while the bed is empty")
     invalid: float = param(0.1, least=0.0, most=1.0, help="share of pixels without a measurement")
     seed: int = param(0, least=0, help="another seed, another night")
     drift_ppm: float = param(

@@ -63,7 +63,7 @@ class BeforeCamera(PacedSource):
                 return
             drawn = self._drawn(
                 performer, frame + 1
-            )  # before it is due, and while nobody waits: a camera takes no time to draw
+            )  # before it is due, while no reader waits: a camera takes no time to draw
 
     def _drawn(self, performer: RenderedPerformer, frame: int) -> dict[str, Array]:
         """A frame by output, what others wait for first."""

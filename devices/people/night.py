@@ -44,7 +44,7 @@ class NightPlan:
     """
     stages      of every epoch from `bed_s` on: W, N1, N2, N3, R
     bed_s, up_s when the sleeper first gets into bed and finally leaves it; length_s of the whole night, both s since its beginning
-    acts        all movements, in order; none overlaps another
+    acts        all movements, in order, without overlap
     absent      (k, 2)  when the bed is empty: from the beginning of getting up to the end of lying down
     phase       of the breath (cycles), every second
     """

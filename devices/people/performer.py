@@ -48,9 +48,7 @@ class Performer(FrameSource):
 
     noise_mm: float = param(5.0, least=0.0, help="standard deviation of every coordinate")
     hides: bool = param(True, help="the left hand goes behind the back now and then")
-    lost: tuple[float, ...] = param(
-        (), least=0.0, help="[from (s), for (s)]: frames that do not arrive; left out: none"
-    )
+    lost: tuple[float, ...] = param((), least=0.0, help="[from (s), for (s)]: frames that do not arrive; empty: never")
     seed: int = param(0, least=0, help="another seed, other noise")
 
     def specs(self) -> Specs:

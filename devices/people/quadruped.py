@@ -32,7 +32,7 @@ def tube(path: Samples, radius: Samples) -> Samples:
 
 
 def tube_faces(rings: int, first: int) -> Array:
-    """The triangles of a tube whose vertices begin at `first`, without its ends."""
+    """The triangles of a tube with vertices from `first` on, without its ends."""
     made = []
     for r in range(rings - 1):
         for a in range(AROUND):

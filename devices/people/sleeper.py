@@ -130,7 +130,7 @@ class Sleeper:
         return after if turned else before
 
     def _block(self, block: int) -> tuple[list[Movement], int, int]:
-        """The movements of a minute, none of which lasts beyond it, and the sides on which it begins and ends."""
+        """The movements of a minute, all within it, and the sides on which it begins and ends."""
         if block not in self._blocks:
             if len(self._blocks) > 100:
                 self._blocks.clear()

@@ -1,6 +1,6 @@
 """What an inertial sensor on a walking person's right foot or shank measures: a pure function of the sample's index, with known steps.
 
-The gait is the treadmill's. In every cycle the limb turns about its pitch axis in a few half-sines whose turning points lie at the
+The gait is the treadmill's. In every cycle the limb turns about its pitch axis in a few half-sines with turning points at the
 distances from lift-off and touch-down that `operators.contacts.inertial` states for real feet (medians over 13 people) and assumes for
 shanks. The sensor sits slanted on the limb. Gravity follows the limb's pitch; the swing's push and the landing's jolt are added.
 """

@@ -1,6 +1,6 @@
 """Polar's measurement data (PMD) over Bluetooth LE: settings, commands, answers, frames raw and compressed. No port, no clock.
 
-Source: the public Polar BLE SDK, whose test vectors the tests hold this to.
+Source: the public Polar BLE SDK; the tests use its test vectors.
 """
 
 from __future__ import annotations

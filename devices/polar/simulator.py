@@ -38,7 +38,7 @@ class PolarBelt:
     }
 
     def __init__(self, *, compressed: bool = False, refuses: int = 0) -> None:
-        """`refuses`: the status with which every start is answered; 0: none."""
+        """`refuses`: the status with which every start is answered; 0: success."""
         self._compressed, self._refuses = compressed, refuses
         self.running: dict[int, float] = {}
         """By measurement, its rate."""

@@ -25,7 +25,7 @@ from kinegraph.stream.source import Feed, outputs_by_parameters
 ECG_HZ = 130.0
 ANSWER_S = 5.0
 FOLLOWS = 0.5
-"""A frame whose time is off by less than this many frames follows the one before: its samples lie evenly between the two."""
+"""A frame with a time off by less than this many frames follows the one before: its samples are spread evenly between the two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +38,14 @@ class Polar(BleSource):
     timing         an event per frame: the belt's time (of its last sample), arrival, stamp
 
     A frame brings the belt's time of its last sample; the samples before lie evenly behind the frame before. Missing frames are known from
-    that time. Measuring is stopped at the end, whatever happens: a belt that is not told to stop stays on until its battery is empty.
+    that time. Measuring is stopped at the end, whatever happens: a belt that is not stopped stays on until its battery is empty.
     """
 
     services = (heart_rate.SERVICE,)
 
     device: str = param("Polar H10", help=DEVICE_HELP)
     ecg: bool = param(True, help="read the electrocardiogram")
-    acceleration_hz: Literal[0, 25, 50, 100, 200] = param(0, help="samples of acceleration per second; 0: none")
+    acceleration_hz: Literal[0, 25, 50, 100, 200] = param(0, help="samples of acceleration per second; 0: off")
     range_g: Literal[2, 4, 8] = param(8, help="full scale of the acceleration")
     heart: bool = param(True, help="read heart rate and intervals between beats too")
     scan_s: float = param(10.0, above=0, help="how long to search for it")

@@ -38,7 +38,7 @@ class QualisysFrame:
     """markers (m, 3) and bodies (b, 12): position and nine numbers of the rotation, in QTM's order; mm; NaN: lost. time_us is QTM's.
 
     skeletons    of each, in QTM's order, the segments by their number: position in mm and quaternion x, y, z, w (7,)
-    analog       what has come since the frame before, on a clock of its own: a frame may bring none, or several frames' samples
+    analog       what has come since the frame before, on a clock of its own: a frame may bring 0 or several frames' samples
     """
 
     number: int
@@ -62,8 +62,8 @@ class AnalogDevice:
 
 @dataclass(slots=True)
 class QualisysNames:
-    """What QTM has, in the order of the data. rate_hz: frames per second, 0: not said; segments: of each skeleton, name to number;
-    up: the axis that points up, "" if not said."""
+    """What QTM has, in the order of the data. rate_hz: frames per second, 0: unknown; segments: of each skeleton, name to number;
+    up: the axis that points up, "" if unknown."""
 
     rate_hz: float
     markers: list[str]
@@ -74,7 +74,7 @@ class QualisysNames:
 
 
 class QualisysDecoder:
-    """Feed it bytes as they come, cut anywhere: packets as (type, payload). Raises QualisysError where they can be none."""
+    """Feed it bytes as they come, cut anywhere: packets as (type, payload). Raises QualisysError for invalid bytes."""
 
     def __init__(self) -> None:
         self._buffer = b""

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class QualisysServer(ClosesAtExit):
-    """One client at a time, which gets everything. Every 20th frame misses the first marker; those whose number `lose` divides are lost."""
+    """One client at a time, which gets everything. Every 20th frame misses the first marker; every `lose`-th frame is lost."""
 
     def __init__(
         self, markers: tuple[str, ...] = ("knee", "ankle"), bodies: tuple[str, ...] = ("shank",), rate_hz: float = 100.0, lose: int = 0,

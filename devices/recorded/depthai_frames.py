@@ -36,7 +36,7 @@ class RecordedMessage:
 
 
 def decode(body: memoryview) -> RecordedMessage | None:
-    """The frame in a message; None for what is none, or is cut off."""
+    """The frame in a message; None for another kind, or if it is cut off."""
     try:
         found = dict(wire_fields(body))
         layout = _numbers(found.get(LAYOUT))
@@ -60,7 +60,7 @@ def _bytes(value: int | memoryview | None) -> memoryview:
 
 
 def _numbers(value: int | memoryview | None) -> dict[int, int]:
-    """The whole numbers in a message within a message; none where it is missing."""
+    """The whole numbers in a message within a message; empty where it is missing."""
     if value is None:
         return {}
     return {number: _signed(v) for number, v in wire_fields(_bytes(value)) if isinstance(v, int)}

@@ -23,7 +23,7 @@ class RecordedStreams(Source):
     The streams `lab.analog` and `lab.right_foot_strike` are the outputs `analog` and `right_foot_strike` of a node with `of: lab`; a
     stream that is called `lab` is its output `out`. Name the node `lab` as well: the graph then replays the recording itself, too.
     Stamps, and the times in events' fields, are moved so that the first sample comes when the graph starts, or with `speed: 0` so that
-    the last one does. Delay: none; a chunk is given when its time has come.
+    the last one does. There is no delay; a chunk is given when its time has come.
     """
 
     path: str = param(help="the recording: what `kinegraph files import` or a session wrote")
@@ -111,7 +111,7 @@ class RecordedStreams(Source):
         found = {name.partition(".")[2] or "out": name for name in there if name == of or name.startswith(f"{of}.")}
         if not found:
             raise ParameterError(
-                "of", self.of, f"what names in {self.path} begin with: {', '.join(beginnings) or 'there are none'}"
+                "of", self.of, f"what names in {self.path} begin with: {', '.join(beginnings) or 'it has no streams'}"
             )
         return found
 

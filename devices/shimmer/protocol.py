@@ -86,7 +86,7 @@ def battery_v(data: bytes) -> float:
 def answer_in(data: bytes, code: int, size: int) -> bytes | None:
     """The answer with this code and `size` bytes behind it, among acknowledgements and news; None: it has not come whole.
 
-    `size` 0: the first byte behind the code says how many follow; -1: an inquiry, whose seventh byte says so. For a command that is only
+    `size` 0: the first byte after the code says how many follow; -1: an inquiry: the seventh byte says so. For a command that is only
     acknowledged `code` is ACK.
     """
     at = 0
@@ -109,7 +109,7 @@ def answer_in(data: bytes, code: int, size: int) -> bytes | None:
 
 
 def _between(data: bytes, at: int) -> int:
-    """Length of the acknowledgement or answer that stands here; 0: none does; -1: it may be one that has not come whole."""
+    """Length of the acknowledgement or answer that starts here; 0: something else; -1: it may be incomplete."""
     if data[at] == ACK:
         return 1
     if data[at] != IN_STREAM:
@@ -129,7 +129,7 @@ class ShimmerPackets:
     dropped    bytes that belonged to no packet
     resyncs    how often the beginning of the next packet had to be looked for
     repeated   packets that were there already
-    battery    what the device told of its battery, as it came
+    battery    the device's battery reports, as they came
     """
 
     ticks: Times

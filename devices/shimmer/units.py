@@ -36,7 +36,7 @@ class Chips:
     wide_g       the wide-range one's ranges, by the code that sets them
     wide_counts  counts per m/s2 in these ranges
     wide_sits    how it sits on the board
-    wide_hz      its own rates, by the code that sets them; 0: there is none
+    wide_hz      its own rates, by the code that sets them; 0: not available
     """
 
     low_noise: tuple[float, float]
@@ -123,7 +123,7 @@ def nominal(sensor: str, wide_range: int = 0, gyro_range: int = 1, chips: Chips 
 def calibration(
     data: bytes, sensor: str, wide_range: int = 0, gyro_range: int = 1, chips: Chips = OLDER
 ) -> ShimmerCalibration:
-    """A sensor's, from the 84 bytes in which the device tells all; the nominal one where it keeps none that belongs to this range."""
+    """A sensor's, from the device's 84 bytes of calibrations; the nominal one if it keeps no calibration for this range."""
     block = data[ORDER.index(sensor) * BLOCK :][:BLOCK]
     known = nominal(sensor, wide_range, gyro_range, chips)
     numbers = struct.unpack(">6h9b", block)
@@ -137,7 +137,7 @@ def calibration(
 
 
 def stored(sensors: dict[str, ShimmerCalibration]) -> bytes:
-    """The 84 bytes in which a device tells its calibrations; FF where it has none. For simulators and tests."""
+    """The 84 bytes of a device's calibrations; FF where one is missing. For simulators and tests."""
     out = b""
     for sensor in ORDER:
         if (known := sensors.get(sensor)) is None:

@@ -41,7 +41,7 @@ class Line(Protocol):
 
 
 class PseudoTerminal:
-    """A pseudo-terminal behind a name of its own, for which every baud rate is right and none is slow.
+    """A pseudo-terminal behind a name of its own, that accepts every baud rate at full speed.
 
     The host's side is held open here as well, and raw from the beginning: software that sets nothing itself is not sent its own
     bytes back, and the settings last when the host closes.
@@ -175,7 +175,7 @@ def line_at(address: str = "", name: str = "ttySIM") -> Line:
 
 
 def _has_pseudo_terminals() -> bool:
-    """Windows has none."""
+    """Windows has no pseudo-terminals."""
     try:
         import pty  # noqa: F401
         import tty  # noqa: F401

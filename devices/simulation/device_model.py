@@ -1,4 +1,4 @@
-"""What a simulated device is made of: bytes heard, bytes answered, packets said as time passes; no port, no thread, no clock."""
+"""The protocol of a simulated device: bytes in, answers and packets out; no port, no thread, no clock."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class DeviceModel(Protocol):
 
 @runtime_checkable
 class Clocked(Protocol):
-    """A simulated device whose packets bring its own time."""
+    """A simulated device with its own time in its packets."""
 
     ahead_s: float
     """By how much its clock has been set forward."""

@@ -7,7 +7,7 @@ MOST_BEHIND_S = 10.0
 
 
 def due(sent: int, seconds: float, rate_hz: float) -> tuple[int, int]:
-    """The samples first..stop-1 to be sent `seconds` after sample 0, where those below `said` have been sent."""
+    """The samples first..stop-1 to be sent `seconds` after sample 0, where those below `sent` have been sent."""
     stop = int(seconds * rate_hz)
     first = max(sent, stop - round(MOST_BEHIND_S * rate_hz))
     return first, max(first, stop)

@@ -42,7 +42,7 @@ class Server(ClosesAtExit):
         return self.line.address
 
     def unplug(self) -> None:
-        """Pull the cable out in the middle of the next packet (or 0.2 s from now, if none is sent), and return when it is out."""
+        """Pull the cable out in the middle of the next packet (or 0.2 s from now), and return when it is out."""
         self._cut_by = time.monotonic() + 0.2
         self._cut.set()
         while self._cut.is_set() and self._thread.is_alive():

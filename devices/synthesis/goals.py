@@ -30,8 +30,8 @@ class Aim:
 @dataclass(frozen=True, slots=True)
 class Sought:
     """
-    path (p, 2), length (p,)  the way on the floor, and how far along it each point is; empty: none
-    goal, gait (k,)           nodes of the cluster that is wanted (none: it is not what is sought); nodes in which the path is followed
+    path (p, 2), length (p,)  the way on the floor, and how far along it each point is; may be empty
+    goal, gait (k,)           nodes of the cluster that is wanted (all false: no cluster is); nodes in which the path is followed
     togo (k,)                 seconds from the start of each node to the cluster, or gait, that is wanted
     """
 
@@ -89,7 +89,7 @@ class Progress:
 
     @property
     def path(self) -> Samples:
-        """(p, 2) the way on the floor that is followed; empty: none."""
+        """(p, 2) the path on the floor that is followed; may be empty."""
         return self.sought.path
 
     @property

@@ -221,9 +221,9 @@ def deepen(
 
     search (8,)      what is known of it; begins with (0, 1, inf, -1, -1, 0, 0, edge). All ways on from the first node are looked at at once
     along            how far along the path the walk was when the search began
-    togo (k,)        seconds from the start of each node to the cluster, or gait, that is wanted; 0: none is, or it is of it
+    togo (k,)        seconds from the start of each node to the cluster, or gait, that is wanted; 0: no goal, or already there
     goal (k,)        which nodes are of the cluster that is wanted
-    gait (k,)        which nodes are of the gait in which a path is to be followed; all, where none is wanted
+    gait (k,)        which nodes are of the gait in which a path is to be followed; all, without a wanted gait
     lots             of each way on from the first node: added to the score of what begins with it
     now, then (BEAM + 1, 17)  room; the first row is the walk
     """

@@ -36,7 +36,7 @@ class Synthesis(Source):
 
     What is done, in turn: `order`, the clusters named, a number of nodes of each; `path`, along a line on the floor; `target`, to a place.
     A path and a target are gone to in the cluster `gait`, where that leads there. When all is done the stream ends, unless `then` is
-    wander. With none of these it wanders by chance, the same for the same seed. A word typed while it runs takes the place of all that: a
+    wander. Without these it wanders by chance, the same for the same seed. A word typed while it runs takes the place of all that: a
     cluster's name (stay in it), `x z` (go there), a name and `x z` (go there in it), `wander`, `stop`.
 
     Where two stretches meet they are blended over 5 to 15 frames, rotations along great circles; a foot that stands stays where it is.

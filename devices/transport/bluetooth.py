@@ -55,7 +55,7 @@ class BleTransport(ClosesAtExit):
 
 
 def parse(address: str) -> tuple[str, str, str]:
-    """Device, notifying and written characteristic ("": none); raises DeviceError."""
+    """Device, notifying and written characteristic ("": unused); raises DeviceError."""
     device, *uuids = address.removeprefix(SCHEME).split("/")
     if not device or len(uuids) not in (1, 2):
         raise DeviceError(

@@ -14,7 +14,7 @@ from kinegraph.stream.errors import DeviceError
 
 MOST = 65536
 BUFFER = 1 << 20
-"""Bytes that the system is asked to keep while nobody reads."""
+"""Bytes that the system is asked to buffer."""
 GATHER_S = 0.025
 GATHER_HELP = (
     "datagrams of this time are read at once, for half the work; 0: each as it comes, for live steering; left out: 25 ms where every "
@@ -23,7 +23,7 @@ GATHER_HELP = (
 
 
 def gathered_s(rates_hz: Iterable[float | None]) -> float:
-    """How long datagrams gather where nothing is said of it: not at all where few would; `rates_hz` of streams that have a clock."""
+    """The default time to gather datagrams: 0 where few would gather; `rates_hz` of streams that have a clock."""
     return GATHER_S if all(hz and hz * GATHER_S >= 2 for hz in rates_hz) else 0.0
 
 
@@ -57,7 +57,7 @@ class UdpTransport(ClosesAtExit):
         self._socket.setblocking(False)
 
     def read(self, timeout_s: float) -> bytes:
-        """One datagram; b"": none came in this time."""
+        """One datagram; b"": nothing came in this time."""
         try:
             if self._gather_s:
                 try:

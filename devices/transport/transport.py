@@ -191,7 +191,7 @@ class TcpTransport(ClosesAtExit):
             raise DeviceError(f"{self.address} cannot be written: {error}") from None
 
     def close(self) -> None:
-        """What was written last is not taken back: closing a connection with bytes that nobody has read would reset it."""
+        """What was written last is not taken back: closing a connection with unread bytes would reset it."""
         with suppress(OSError, ValueError):
             self._socket.shutdown(socket.SHUT_WR)
             deadline = time.monotonic() + GOODBYE_S

@@ -47,7 +47,7 @@ class UsbAddress:
 
 
 def backends() -> list[IBackend]:
-    """The simulated buses and the real one; raises DeviceError if there is none at all."""
+    """The simulated buses and the real one; raises DeviceError if there is no bus."""
     real = libusb()
     if real is None and not simulated:
         raise DeviceError(

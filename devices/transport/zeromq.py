@@ -8,7 +8,7 @@ from kinegraph.stream.system.extras import optional
 
 SCHEME = "zmq+"
 MOST_WAITING = 10_000
-"""Messages that are kept while nobody reads; ZeroMQ leaves out what comes on top."""
+"""Messages that are kept unread; ZeroMQ drops the rest."""
 
 
 class ZeroMqTransport(ClosesAtExit):

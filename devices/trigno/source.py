@@ -54,7 +54,7 @@ class Trigno(Source):
              gx gy gz in deg/s and mx my mz as the sensor gives it
     timing   an event per read of `emg`: number of the last sample, time by it, arrival, stamp
 
-    Samples carry no counter and no time: they are counted, and the count is mapped onto session time. TCP loses none; what the radio lost
+    Samples carry no counter and no time: they are counted, and the count is mapped to session time. TCP loses nothing; what the radio lost
     the base station fills in without a word. Where the count goes astray by more than 0.1 s, an unknown number is marked as lost.
     """
 
@@ -180,7 +180,7 @@ class Trigno(Source):
             raise DeviceError(f"{self.port} refused {text}: {came.decode('ascii', 'replace').strip()}")
 
     def _aside(self, control: Transport, feed: Feed, text: str) -> str:
-        """The answer to what older servers do not know; "" for none, or where it is refused."""
+        """The answer to what older servers do not know; "" without one, or where it is refused."""
         control.write(protocol.command(text))
         try:
             came = answer(control, feed, until=ENDING, within_s=ASIDE_S, expected=text)

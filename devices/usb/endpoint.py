@@ -19,7 +19,7 @@ from kinegraph.stream.source import Feed
 
 @dataclass(frozen=True, slots=True)
 class Endpoint(Binary):
-    """A USB device whose reports the graph declares, as `devices.frames.Binary` does frames: each transfer is one.
+    """A USB device with reports that the graph declares, as `devices.frames.Binary` does frames: each transfer is one.
 
     NAME     (channels,) float64: the data fields of the report of that name, in their units; an output for each report with data
     timing   an event per report: its counter, the device's time, arrival, stamp

@@ -33,7 +33,7 @@ class UsbWiring:
     transfer    BULK (with an endpoint to write to) or INTERRUPT
     packet      bytes of a packet at most
     endpoint    its endpoints' number
-    driver      the system's driver that has it until it is detached; "": none
+    driver      the system's driver that has it until it is detached; "": no driver
     permitted   whether the user may open it
     """
 
@@ -241,7 +241,7 @@ def _there(device: _Plugged) -> _Plugged:
 
 
 class UsbLine:
-    """The device's end of a USB cable. What it sends while nobody has claimed it goes nowhere."""
+    """The device's end of a USB cable. What it sends while it is unclaimed is lost."""
 
     def __init__(self, bus: SimulatedBus, wiring: UsbWiring) -> None:
         self._bus, self._wiring = bus, wiring

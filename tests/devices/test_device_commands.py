@@ -166,7 +166,7 @@ def test_images_are_kept_only_if_it_is_said_in_as_many_words(store: bool, tmp_pa
         (["devices.cyton.Cyten"], "did you mean 'Cyton'", 2),
         (["devices.cyton.Cyton"], "port is missing", 2),
         (["devices.cyton.Cyton", "port=/dev/ttyNOTTHERE", "deadline_s=1"], "does not exist", 3),
-        (["devices.cyton.Cyton", "port=/dev/ttyUSB0", "--store-frames"], "none of these sources gives images", 2),
+        (["devices.cyton.Cyton", "port=/dev/ttyUSB0", "--store-frames"], "these sources give no images", 2),
         (["devices.cyton.Cyton", "port=/dev/ttyNOTTHERE", "--for", "1"], "--simulate", 3),
         (
             ["devices.cyton.Cyton", "prot=/dev/ttyUSB0"],

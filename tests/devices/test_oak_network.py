@@ -525,4 +525,4 @@ class TestSimulated:
             object.__setattr__(source, "lost_after_s", 0.5)
             with reading(source) as feed:
                 wait_for(lambda: feed.error is not None)
-        assert isinstance(feed.error, DeviceError) and "has said nothing" in str(feed.error)
+        assert isinstance(feed.error, DeviceError) and "has given nothing" in str(feed.error)

@@ -168,7 +168,7 @@ def test_inertial_sensors(tmp_path: Path) -> None:
     assert (
         np.isnan(found["barometer"].data[:, 0]).all()
         and found["barometer"].data[0, 1] == 101.3
-        and "nobody measured" in doubts(findings)
+        and "cannot be measurements" in doubts(findings)
     )
 
 

@@ -237,7 +237,7 @@ def test_the_command_lists_draws_and_deletes(
     with pytest.raises(KinegraphError, match="name the night"):
         call("sleep nights", ["delete", "--path", str(tmp_path)])
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    with pytest.raises(KinegraphError, match="nobody can be asked for confirmation, so 2025-12-31 stays; --yes"):
+    with pytest.raises(KinegraphError, match="no terminal to ask for confirmation, so 2025-12-31 stays; --yes"):
         call("sleep nights", ["delete", "last", "--path", str(tmp_path)])
     assert (tmp_path / "2025-12-31").is_dir()
     run("delete", "last", "--yes")

@@ -33,7 +33,7 @@ class Joint:
 
 def read_bvh(path: Path, unit: str = "", scale: float = 1.0, start_ns: int = 0) -> list[Series]:
     """Streams: the file's name, joint positions (joints, 3) in world coordinates, ends of limbs included ("Head_end"); with ".angles"
-    behind it, the file's own channels, turns in degrees; and, where the unit is said and only the root has positions, with ".pose"
+    behind it, the file's own channels, turns in degrees; and, if the unit is given and only the root has positions, with ".pose"
     behind it the same motion as poses (stream/domain/skeleton.py), in metres.
 
     BVH says neither unit nor axes; `unit` names what `scale` times the numbers are. A joint with position channels stands where these say,

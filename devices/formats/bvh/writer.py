@@ -20,7 +20,7 @@ COUNT = 10
 
 
 def bvh_head(tree: JointTree, rate_hz: float) -> tuple[str, int]:
-    """The file up to its frames, which says that there are none yet; and where in it (in characters, all ASCII) their number stands."""
+    """The file up to its frames, with a frame count of 0; and the offset of that count (in characters, all ASCII)."""
     lines = ["HIERARCHY", *_joint(tree, 0, 0), "MOTION"]
     text = "\n".join(lines) + "\nFrames: "
     return f"{text}{0:{COUNT}d}\nFrame Time: {1 / rate_hz:.9f}\n", len(text)

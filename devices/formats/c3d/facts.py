@@ -1,4 +1,4 @@
-"""What a C3D file tells beside its streams: the program, the person's measures, and what is doubtful. Nobody's name is taken."""
+"""Facts in a C3D file beside its streams: the program, the person's measures, and doubts. Names are left out."""
 
 from __future__ import annotations
 

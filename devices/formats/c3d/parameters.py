@@ -41,7 +41,7 @@ class Parameters:
         return [text for value in self._parts(group, name) if isinstance(value, tuple) for text in value]
 
     def numbers(self, group: str, name: str) -> Array:
-        """A parameter's numbers (n,), with those of its continuations; none where it holds texts, or is not there."""
+        """A parameter's numbers (n,), with those of its continuations; empty if it holds texts, or is missing."""
         parts = [value.ravel(order="F") for value in self._parts(group, name) if not isinstance(value, tuple)]
         return np.concatenate(parts) if parts else np.zeros(0)
 

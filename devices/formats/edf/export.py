@@ -99,7 +99,7 @@ def _record(grids: Sequence[GriddedStream]) -> tuple[float, list[float]]:
     """Seconds to a record, and the rates that come of it: every rate has a whole number of samples in it. Raises RecordingError.
 
     The nominal rates decide about whole seconds, of which the shortest are taken. Where a rate was fitted, a record is a little shorter or
-    longer, in the eight places that the header has; then the shortest are taken whose rounding moves no sample by a tenth of a period.
+    longer, in the eight places that the header has; then the shortest that round no sample by a tenth of a period.
     """
     nominal = [grid.stream.nominal_hz for grid in grids]
     share = grids[0].rate_hz / nominal[0]

@@ -17,7 +17,7 @@ from kinegraph.stream.errors import RecordingError
 STATUS = re.compile(r"^(BDF )?(Status|Trigger)$", re.IGNORECASE)
 MONTHS = ["JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC"]
 SNAP_NS = 1_000
-"""Records whose times are this close to the end of the record before follow it without a pause."""
+"""Records with times this close to the end of the record before follow it without a pause."""
 
 
 def knows(head: bytes) -> bool:

@@ -39,7 +39,7 @@ class MeshPrimitive:
 class Channel:
     """What an animation does to a node: `path` is translation, rotation, scale or weights; values (n, width) at times (n,) s.
 
-    way  LINEAR, STEP or CUBICSPLINE, whose values are (n, 3, width): in-tangent, value, out-tangent
+    way  LINEAR, STEP or CUBICSPLINE; the last has values (n, 3, width): in-tangent, value, out-tangent
     """
 
     node: int
@@ -58,7 +58,7 @@ class Animation:
 
     @property
     def keys(self) -> Samples:
-        """The times (n,) s at which anything is said, each once."""
+        """The key times (n,) s, each once."""
         return np.unique(np.concatenate([one.times for one in self.channels]))
 
     def frames(self, rate_hz: float | None) -> tuple[float, int]:

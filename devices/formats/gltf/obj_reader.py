@@ -28,7 +28,7 @@ def read_obj(
 ) -> list[Series]:
     """The vertices (vertices, 3) of moving meshes, times `scale` in metres.
 
-    Every file without an animation is a frame (30 Hz, if no rate is said) of one stream, called after the first of them; they hold the
+    Every file without an animation is a frame (30 Hz by default) of one stream, called after the first of them; they hold the
     same mesh, and come as `frames_in_order` puts them. Each animation of a glTF file is a stream of its own, called after its file, and
     itself where there are several, at the rate of its keys where these are regular and at least 10 Hz, else at 30 Hz. Polygons become
     fans of triangles; textures and normals are left out. The vertices stay in the file's order. Raises RecordingError.

@@ -123,7 +123,7 @@ def _piece(file: Gltf, node: int, mesh: dict[str, Any], primitive: dict[str, Any
 
 
 def _skin(file: Gltf, node: int) -> tuple[tuple[int, ...], Samples]:
-    """The joints of a node's skin and the matrices (joints, 4, 4) that undo their rest; none without a skin."""
+    """The joints of a node's skin and the matrices (joints, 4, 4) that undo their rest; empty without a skin."""
     number = file.json["nodes"][node].get("skin")
     if number is None:
         return (), np.zeros((0, 4, 4))

@@ -113,7 +113,7 @@ def write_skeleton(path: Path, tree: JointTree, times: Samples, poses: Samples, 
 
 
 def _sticks(tree: JointTree) -> tuple[Array, Array, NDArray[np.uint16]]:
-    """A thin double pyramid from each joint to its parent: vertices (v, 3), triangles' corners (t,), whose bone each vertex is."""
+    """A thin double pyramid from each joint to its parent: vertices (v, 3), triangles' corners (t,), and the bone of each vertex."""
     rest, places, faces, owners = tree.at_rest, list[Samples](), list[int](), list[int]()
     for k in range(1, len(tree.joints)):
         start, end = rest[tree.parents[k]], rest[k]
@@ -157,7 +157,7 @@ def write_mesh(path: Path, faces: Array, times: Samples, vertices: Samples, name
 
 
 def _targets(moved: Samples) -> tuple[Samples, Samples]:
-    """Weights (n, k) and targets (k, v, 3) whose products are `moved` (n, v, 3), to within `TOLERANCE_M` if `MOST_TARGETS` can do it."""
+    """Weights (n, k) and targets (k, v, 3) with the product `moved` (n, v, 3), to within `TOLERANCE_M` if `MOST_TARGETS` can do it."""
     n, v = moved.shape[:2]
     flat = moved.reshape(n, -1)
     if np.abs(flat).max() < TOLERANCE_M / 100:

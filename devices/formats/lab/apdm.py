@@ -50,7 +50,9 @@ def read_apdm(path: Path, asked: Asked) -> Understood:
     for kind, mine in columns.items():
         data = np.ascontiguousarray(table[:, [k for k, _ in mine]])
         if (wrong := np.abs(data) > MOST).any():
-            made.doubt(f"{kind}: {int(wrong.sum())} numbers are beyond {MOST:g}: nobody measured them; they become NaN")
+            made.doubt(
+                f"{kind}: {int(wrong.sum())} numbers are beyond {MOST:g}and cannot be measurements; they become NaN"
+            )
             data[wrong] = np.nan
         units = (UNITS.get(kind, ""),)
         made.add_timed(kind, seconds, data, at + 4, asked, channels=[name for _, name in mine], units=units)

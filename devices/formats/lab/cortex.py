@@ -86,5 +86,5 @@ def read_anc(path: Path, asked: Asked) -> Understood:
 def _fact(text: TextLines, top: str, key: str) -> float:
     match = re.search(rf"{key}:\t+([\d.]+)", top)
     if match is None or not 0 < float(match[1]) < 1e9 or (key == "BitDepth" and float(match[1]) > 64):
-        raise text.wrong(0, f"{key} is not told")
+        raise text.wrong(0, f"{key} is missing")
     return float(match[1])

@@ -24,7 +24,7 @@ TIME = re.compile(r'^"?\s*(X|Time)\s*[\[(]\s*(s|sec|seconds)\s*[\])]\s*"?$', re.
 UNIT = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]$")
 SIGNAL = re.compile(r"\b(EMG|EKG|ECG|ACC|GYRO|MAG|FSR|ORIENTATION|GONIOMETER|ANALOG|HR)\b", re.IGNORECASE)
 UNITS = {"acc": "g", "gyro": "deg/s"}
-"""Of signals whose file names none."""
+"""Of signals without a unit."""
 DATES = ("%m/%d/%Y %I:%M:%S %p", "%m/%d/%Y %H:%M:%S", "%Y-%m-%d %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S")
 
 
@@ -45,7 +45,7 @@ class TimedChannel:
 
 
 def is_emgworks(head: str) -> bool:
-    """A first line whose every second cell is a time."""
+    """A first line with a time in every second cell."""
     line = next(iter(head.splitlines()), "")
     cells = [cell.strip() for cell in line.split(delimiter_of(line))]
     return len(cells) >= 2 and len(cells) % 2 == 0 and all(TIME.match(cell) for cell in cells[::2]) and "X" in cells[0]

@@ -77,7 +77,7 @@ def _told(made: Understood, facts: dict[str, str]) -> None:
     try:
         made.local_time(datetime.fromisoformat(facts.get("measurement_date", "")))
     except ValueError:
-        made.doubt("when it was measured is not told")
+        made.doubt("the time of the measurement is unknown")
     if sex := facts.get("sex"):
         made.facts["sex"] = sex
     if program := facts.get("created with version"):

@@ -1,4 +1,4 @@
-"""The lines of a text file from a laboratory's program, and the numbers in them; what is wrong is said with file and line."""
+"""The lines of a text file from a laboratory's program, and the numbers in them; errors name file and line."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def delimiter_of(line: str, among: str = "\t;,") -> str:
 
 
 def separator_of(line: str) -> str:
-    """The separator that a first line like "sep=;" names for spreadsheets; "" if it names none.
+    """The separator that a first line like "sep=;" names for spreadsheets; or "".
 
     >>> separator_of('"sep=;"')
     ';'

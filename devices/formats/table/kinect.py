@@ -63,7 +63,7 @@ def read_kinect(
 
 
 Found: TypeAlias = tuple[tuple[str, ...], Array, Array, str, int]
-"""Joint names, positions, what stands for the time and its unit ("": not said), and the first line."""
+"""Joint names, positions, what stands for the time and its unit ("": unknown), and the first line."""
 
 
 def _named(path: Path, columns: dict[str, FileColumn], rate_hz: float | None) -> Found:

@@ -43,7 +43,7 @@ JITTER_S = 0.5
 WRONG, LEAST_SAMPLES = 0.01, 50
 """By this share a declared rate may be off; measured on this many samples at least."""
 TEXT_WIDTH, MOST_TEXT = 64, 1 << 16
-"""Characters that a string marker has room for: at least the first, where nobody asks for a number, and never more than the second."""
+"""Characters that a string marker has room for: at least the first by default, and never more than the second."""
 
 
 def read_xdf(
@@ -106,7 +106,7 @@ def _chosen(
 
 
 def _readable(path: Path, streams: dict[str, dict[str, Any]], doubts_found: Doubts) -> dict[str, dict[str, Any]]:
-    """The streams whose stamps are times of one epoch, that of most samples; the others are left out by name."""
+    """The streams with stamps of one epoch, that of most samples; the others are left out by name."""
     bad = {n for n, s in streams.items() if not (np.abs(np.asarray(s["time_stamps"], float)) <= MOST_NS / NS).all()}
     if bad and len(bad) == len(streams):
         raise RecordingError(f"{path}: stream {min(bad)!r} holds times that are not numbers; the file is damaged")

@@ -32,7 +32,7 @@ UNITS = {"uV": "microvolts", "mV": "millivolts", "V": "volts"}
 
 
 class XdfWriter:
-    """Writes streams whose times are given in seconds since `origin` (ns UTC), which every stream's header gives."""
+    """Writes streams with times in seconds since `origin` (ns UTC), which every stream's header gives."""
 
     def __init__(self, file: BinaryIO, origin: int) -> None:
         self._file, self._origin = file, origin

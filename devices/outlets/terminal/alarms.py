@@ -34,7 +34,7 @@ class AlarmsState:
 class Alarms(Outlet[AlarmsState]):
     """Any number of alarm streams (`operators.monitors.cycle_watch`, `operators.monitors.electrode_watch`) in.
 
-    Each alarm is a warning in the log; those that last are a red table in the live view, and where there is none, a line each. An
+    Each alarm is a warning in the log; those that last are a red table in the live view, and without a live view, a line each. An
     input has one alarm about a subject at a time; two inputs may have one each.
     """
 

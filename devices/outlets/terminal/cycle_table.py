@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from rich.table import Table
 
-from kinegraph.devices.outlets.terminal.muscle_notes import HEADINGS, NOTES, TOLD, MuscleNotes
+from kinegraph.devices.outlets.terminal.muscle_notes import HEADINGS, NOTES, REMARKS, MuscleNotes
 from kinegraph.devices.outlets.terminal.view import TerminalView
 from kinegraph.devices.reports.session.contents.labels import decimals, relative_to
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
@@ -23,7 +23,7 @@ CYCLE = ("number", "duration_s", "stance_pct", "cadence", "rejected")
 
 @dataclass(slots=True)
 class CycleTableState:
-    """The cycle whose numbers are awaited: its event (1,), the numbers (fields, m) so far; counts of cycles; and the latest, a ring:
+    """The cycle that waits for its numbers: its event (1,), the numbers (fields, m) so far; counts of cycles; and the latest, a ring:
     their numbers, and whether they were accepted. Of several limbs, each one's latest rows."""
 
     event: Array
@@ -45,7 +45,7 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
     closed       of `operators.cycles.cycles.Cycles`
     statistics   of `operators.cycles.statistics.CycleStatistics`
 
-    stages       of `operators.cycles.stages.Stages`: which stage has begun, and what is to be said
+    stages       of `operators.cycles.stages.Stages`: which stage has begun, and the text to show
     modes        of `operators.emg.mixtures.PeakMixtures`, and
     distance     of `operators.emg.mixtures.drift.MixtureDrift`, and
     targets      of `operators.cycles.statistics.cycle_targets.CycleTargets`, and
@@ -147,7 +147,7 @@ def _tell_stage(row: Any) -> None:
     )
     line = f"{what}. {row['say']}" if row["say"] else what
     if TerminalView.current is None:
-        with suppress(BrokenPipeError):  # nobody reads on
+        with suppress(BrokenPipeError):  # the output was closed
             say(line, flush=True)
     else:
         TerminalView.current.hang_out("stage", line, line)
@@ -157,12 +157,12 @@ def _tell(port: str, rows: Array) -> None:
     """How the last cycle stands to each target, or norm."""
     kind = port.removesuffix("s")
     lines = [
-        f"{kind} {row['name']}: {TOLD[port](row)}"
+        f"{kind} {row['name']}: {REMARKS[port](row)}"
         + (f", {row['hits']} of {row['cycles']} cycles within" if port == "targets" else "")
         for row in rows
     ]
     if TerminalView.current is None:
-        with suppress(BrokenPipeError):  # nobody reads on
+        with suppress(BrokenPipeError):  # the output was closed
             say("; ".join(lines), flush=True)
     else:
         TerminalView.current.hang_out(kind, "\n".join(lines), "; ".join(lines))
@@ -252,7 +252,7 @@ def _numbers(field: str, values: Array) -> list[str]:
 
 def _show(notice: Any, line: str) -> None:
     if TerminalView.current is None:
-        with suppress(BrokenPipeError):  # nobody reads on
+        with suppress(BrokenPipeError):  # the output was closed
             say(line, flush=True)
     else:
         TerminalView.current.hang_out("cycle", notice, line)

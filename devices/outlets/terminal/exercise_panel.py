@@ -40,7 +40,7 @@ FIELDS = {
 }
 """By port: the fields that its events must have."""
 UNKNOWN = "unknown"
-"""What a repetition is called that is like none that was shown."""
+"""The name of a repetition unlike all that were shown."""
 SHORT_S = 2.0
 """Shorter rests, and what does not repeat and is shorter, are not worth a word."""
 
@@ -88,7 +88,7 @@ class ExercisePanel(Outlet[ExerciseState, None]):
         if TerminalView.current is not None:
             TerminalView.current.hang_out("exercise", panel(self.state), line)
         elif line:
-            with suppress(BrokenPipeError):  # nobody reads on
+            with suppress(BrokenPipeError):  # the output was closed
                 say(line, flush=True)
 
 
@@ -135,7 +135,7 @@ def _count(state: ExerciseState, event: Any, stamp: int) -> str:
 
 
 def corrects_earlier(state: ExerciseState, activity: int) -> bool:
-    """Whether what is said of this activity is about an earlier one than is under way, of which something is counted."""
+    """Whether this event is about an earlier activity that has a count."""
     return activity <= state.gone or (activity < state.activity and state.count > 0 and not state.taken_back)
 
 

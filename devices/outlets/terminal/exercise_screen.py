@@ -27,14 +27,14 @@ DOUBTED = 0.35
 
 @dataclass(slots=True)
 class ExerciseState:
-    """What goes on. Times in ns; activity -1: none; rest_since NEVER: nobody rests; since: when it began; begun: that is when its
-    first repetition did; last_s: how long the newest repetition took that is final, NaN: none; sure: of the name; doubtful: chance may
+    """What goes on. Times in ns; activity -1: no activity; rest_since NEVER: no rest; since: when it began; begun: that is when its
+    first repetition did; last_s: how long the newest repetition took that is final, NaN: not yet; sure: of the name; doubtful: chance may
     have made what is counted
 
     paused: somebody has rested since the last repetition; named: names come, too; unsaid: the line of the newest count waits for its name
 
     gone: the newest activity that has ended; taken_back: whether all that was counted of this one was taken back; behind, behind_since: the
-    next one, of which nothing is counted yet, while this one is corrected; -1: none
+    next one, of which nothing is counted yet, while this one is corrected; -1: no activity
 
     past (STRIP,): in any order; passed: how many stretches have ended. known (RECENT,): activities by number modulo RECENT: name, how many
     repetitions are final and how many are counted, when the first one began and the last one ended. began: the first event's time, from
@@ -74,7 +74,7 @@ def rested_s(state: ExerciseState, onset: int, end: int) -> float:
 
 
 def name_of(state: ExerciseState, activity: int) -> str:
-    """What an activity is called; "" if nobody has said."""
+    """The name of an activity, or ""."""
     one = state.known[activity % RECENT]
     return str(one["name"]) if one["activity"] == activity else ""
 

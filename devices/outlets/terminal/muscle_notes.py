@@ -37,7 +37,7 @@ class MuscleNotes:
         for row in rows:
             i = self._place(str(row["name"]))
             number = int(row["number"]) if "number" in NOTES[port] else 0
-            word = TOLD[port](row)
+            word = REMARKS[port](row)
             again = number and number == self.numbers[i][k]
             self.words[i][k] = f"{self.words[i][k]}, {word}" if again else word
             self.numbers[i][k] = number
@@ -77,4 +77,4 @@ def _norm(row: Any) -> str:
     return f"{row['outside_pct']:.0f} % of the cycle{where}"
 
 
-TOLD = {"modes": _mode, "distance": _distance, "targets": _target, "norms": _norm}
+REMARKS = {"modes": _mode, "distance": _distance, "targets": _target, "norms": _norm}

@@ -28,7 +28,7 @@ FIELDS = {
 class StepPanelState:
     """Of the newest step: number, kind, duration, length; how many were turns or came after a pause; judged: the newest judgement (1,).
 
-    activity   what the person does, empty: nobody tells
+    activity   what the person does; empty: unknown
     """
 
     number: int
@@ -95,7 +95,7 @@ class StepPanel(Outlet[StepPanelState, None]):
         if TerminalView.current is not None:
             TerminalView.current.hang_out("steps", panel(self.state), line)
         elif line:
-            with suppress(BrokenPipeError):  # nobody reads on
+            with suppress(BrokenPipeError):  # the output was closed
                 say(line, flush=True)
 
 

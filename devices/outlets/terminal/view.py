@@ -1,4 +1,4 @@
-"""A running session on the terminal: one panel that is redrawn on a screen, plain lines where there is none (a pipe, a log file)."""
+"""A running session on the terminal: one panel that is redrawn on a screen, plain lines elsewhere (a pipe, a log file)."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class LineView(TerminalView):
         return super().__enter__()
 
     def _say(self, line: str) -> None:
-        """Print a line; where nobody reads any more (`| head`, a full disk), the session goes on without being shown."""
+        """Print a line; if the output is closed (`| head`, a full disk), the session continues without a view."""
         try:
             print(shown(plain(line)), file=self._file, flush=True)
         except OSError as error:

@@ -63,7 +63,7 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
     """
 
     when: Literal["session", "events"] = param("session", help="a pulse at start and end, or one per event")
-    serial_port: str = param("", help="/dev/ttyUSB0, COM3 or a URL of pyserial; left out: none")
+    serial_port: str = param("", help="/dev/ttyUSB0, COM3 or a URL of pyserial; empty: off")
     line: Literal["rts", "dtr", "byte"] = param(
         "rts", help="the line that gives the pulse, or a byte for a trigger box"
     )
@@ -74,9 +74,9 @@ class TriggerOutlet(Outlet[TriggerState, TriggerRuntime]):
     pulse_ms: float = param(
         10.0, least=1.0, most=1000.0, help="how long the line is up, and at least down before the next"
     )
-    lsl: str = param("", help="the marker stream's name; left out: none")
+    lsl: str = param("", help="the marker stream's name; empty: off")
     network: Network = param(ANY, help="how far the marker stream is seen; one for the whole graph")
-    osc: str = param("", help="HOST:PORT of who receives OSC; left out: nobody")
+    osc: str = param("", help="HOST:PORT of the OSC receiver; empty: off")
     osc_address: str = param("/kinegraph/trigger", help="the message's address")
 
     def open(self, specs: Specs) -> Specs:

@@ -20,7 +20,7 @@ from kinegraph.stream.system.subprocesses import child
 
 log = structlog.get_logger(__name__)
 READY = 0
-"""The number of the first query, whose answer says that the process answers."""
+"""The number of the first query; its answer shows that the process runs."""
 
 
 class MapVisitor(Looking):

@@ -96,13 +96,13 @@ def cells(index: MotionIndex) -> bytes:
 
 
 def _mean(poses: Array) -> Samples:
-    """The mean over those that know a coordinate; 0 where none does."""
+    """The mean over those that know a coordinate, or 0."""
     known = np.isfinite(poses)
     return np.asarray(np.where(known, poses, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
 
 
 def poses_at(index: MotionIndex, numbers: list[int], ask: int) -> bytes:
-    """These poses. Raises ValueError for a number that is none."""
+    """These poses. Raises ValueError for an unknown number."""
     frames = np.array(numbers, np.int64)
     if len(frames) and not (frames.min() >= 0 and frames.max() < len(index.poses)):
         raise ValueError("there is no such pose")
@@ -112,7 +112,7 @@ def poses_at(index: MotionIndex, numbers: list[int], ask: int) -> bytes:
 
 
 def curve_of(index: MotionIndex, sequence: int, count: int) -> bytes:
-    """A sequence's poses at even times. Raises ValueError for a sequence that is none."""
+    """A sequence's poses at even times. Raises ValueError for an unknown sequence."""
     if not 0 <= sequence < len(index.sequences):
         raise ValueError("there is no such sequence")
     one = index.sequences[sequence]

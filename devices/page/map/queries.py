@@ -22,7 +22,7 @@ class PoseQueries(Source):
     """One event per line "query first last count band_s markers" that is typed while it runs, all of them numbers; nothing else.
 
     query    a number by which the answer is known again
-    first, last   frames of the index; count, how many are wanted; band_s, how near to the query none is; markers, their bits, 0: all
+    first, last   frames of the index; count, how many are wanted; band_s, minimum distance to the query; markers, their bits, 0: all
     """
 
     def specs(self) -> Specs:

@@ -25,7 +25,7 @@ class WantedCurve(msgspec.Struct, tag="curve", tag_field="do", forbid_unknown_fi
 
 
 class WantedNear(msgspec.Struct, tag="near", tag_field="do", forbid_unknown_fields=True):
-    """What is nearest to a pose (first = last) or a stretch; `markers` are the numbers of those that count, none: all."""
+    """What is nearest to a pose (first = last) or a stretch; `markers` are the numbers of those that count; empty: all."""
 
     first: int
     last: int

@@ -21,7 +21,7 @@ nodes:
 
 
 def listen(session: Session) -> None:
-    """Pass on what is asked, until nobody asks any more."""
+    """Pass on queries until the input ends."""
     for line in sys.stdin:
         try:
             session.tell("queries", line.strip())

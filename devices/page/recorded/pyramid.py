@@ -24,7 +24,7 @@ Rows = NDArray[np.float32]
 class Pyramid:
     """Equal pieces of a signal from `first` to `last` (ns); pieces without a sample take no memory.
 
-    width    of a piece (ns); none is narrower than two samples
+    width    of a piece (ns), at least two samples
     pieces   (m,) numbers of the pieces that hold samples, ascending; piece k begins at `first` + k `width`
     low      (m, c) float32, and `high`: NaN where a piece holds no value
     gaps     where samples are missing (ns): until when there were any, and from when again; at most `MOST_GAPS`

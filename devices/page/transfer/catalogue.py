@@ -163,7 +163,7 @@ def as_text(value: Any) -> str:
 
 
 def words_of(graph: Graph) -> list[str]:
-    """What may be said to operators by annotations, each once."""
+    """The annotations that operators understand, each once."""
     heard = [
         n
         for n in graph.nodes.values()
@@ -233,7 +233,7 @@ def arranged(page: PageOptions, specs: dict[str, StreamSpec]) -> list[dict[str, 
 
 
 def with_avatar(panels: list[dict[str, Any]], specs: dict[str, StreamSpec]) -> list[dict[str, Any]]:
-    """The panels, and before them an avatar that follows the last humanoid pose, where there is one and none of them is an avatar."""
+    """The panels, and before them an avatar that follows the last humanoid pose, if there is one and the panels have no avatar."""
     followed = [name for name, spec in specs.items() if avatar_bones(spec)][-1:]
     shown = any(panel["kind"] == "avatar" for panel in panels)
     return panels if shown or not followed else [{"kind": "avatar", "of": followed}, *panels]

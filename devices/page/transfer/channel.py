@@ -1,4 +1,4 @@
-"""The bounded channel from a session to its page: what nobody takes in time is dropped, and the stream says so; samples never wait."""
+"""The bounded channel from a session to its page: what is not taken in time is dropped and marked; samples never wait."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_BYTES = 32 << 20
 TICK_S = 1 / 30
 """What comes within this time is handed over together."""
 UNSEEN_TICK_S = 0.25
-"""While nobody looks."""
+"""Without viewers."""
 TICK = encode({"t": "tick"})
 
 
@@ -64,7 +64,7 @@ class PageChannel:
         return any(newest and wanted for newest, wanted in zip(self.newest, self.wanted, strict=True))
 
     def observer(self, number: int) -> Callable[[Chunk], None]:
-        """What puts a stream's chunks in; takes well under a microsecond where nobody looks."""
+        """What puts a stream's chunks in; takes well under a microsecond without viewers."""
         wanted, last = self.wanted, self._last
         if self.newest[number]:
 
@@ -129,7 +129,7 @@ class PageChannel:
     # to the server ---------------------------------------------------------------------------------------------------
 
     def lead_to(self, pipe: ServerPipe | None) -> None:
-        """Hand over to this one from now on; None: to nobody, and nothing is wanted."""
+        """Hand over to this one from now on; None: stop."""
         with self._handing:
             self._pipe = pipe
             if not pipe:

@@ -24,15 +24,15 @@ class Curve(NamedTuple):
 
 
 def as_rows(data: Array) -> Array:
-    """Samples (n, *shape) as (n, width), however many there are: none, too."""
+    """Samples (n, *shape) as (n, width), also for n = 0."""
     return data.reshape(len(data), int(np.prod(data.shape[1:])))
 
 
 def breaks(time: Times, lost: int, before: int | None, period_ns: int) -> NDArray[np.bool_]:
     """Before which samples of a chunk the line is interrupted: something is `lost`, or a regular stream's stamps leave a hole.
 
-    before      the stamp of the sample before the chunk, None if there is none
-    period_ns   0: an irregular stream, in which no hole can be told
+    before      the stamp of the sample before the chunk, or None
+    period_ns   0: an irregular stream, where no gap can be seen
     """
     found = np.zeros(len(time), np.bool_)
     if not len(time):

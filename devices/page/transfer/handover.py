@@ -51,7 +51,7 @@ class Handover:
         return TICK_S if channel.pictures_wanted or channel.is_left or not self._live else SEEN_TICK_S
 
     def give(self, pipe: ServerPipe) -> None:
-        """All that waits; as soon as there is room, where there is none."""
+        """Send all that waits, as soon as there is room."""
         with self._writing:
             lines, self.lines = self.lines, []
         (state, self.state), (pace, self.pace) = (self.state, b""), (self.pace, b"")

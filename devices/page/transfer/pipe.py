@@ -42,7 +42,7 @@ class ServerPipe:
             fcntl.fcntl(handle, fcntl.F_SETPIPE_SZ, CAPACITY)
 
     def write(self, messages: Iterable[PipeMessage]) -> None:
-        """Take messages, and write what finds room; the rest waits here. Raises OSError where nobody reads any more."""
+        """Take messages, and write what finds room; the rest waits here. Raises OSError if the reader has gone."""
         for message in messages:
             parts = [view for part in message if (view := memoryview(part)).nbytes]  # type: ignore[arg-type]
             self._rest += [memoryview(LENGTH.pack(sum(view.nbytes for view in parts))), *parts]

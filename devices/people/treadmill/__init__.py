@@ -1,4 +1,4 @@
-"""A simulated treadmill session: EMG, contacts and force of a walk whose truth is known."""
+"""A simulated treadmill session: EMG, contacts and force of a walk with known truth."""
 
 from kinegraph.devices.people.treadmill.source import CONTACT, Treadmill, truth
 

@@ -23,7 +23,7 @@ class BothLegs:
         self.faults: dict[str, Faults] = {}
 
     def spoil(self, faults: tuple[Fault, ...]) -> Faults:
-        """Put the faults in, each into the leg whose prefix its muscle has; gives those that lose samples."""
+        """Put the faults in, each into the leg with the prefix of its muscle; gives those that lose samples."""
         for side, signal in self.legs.items():
             prefix = LEGS[side]
             mine = tuple(
@@ -42,7 +42,7 @@ class BothLegs:
         return np.hstack([emg for emg, _ in made]), np.hstack([force for _, force in made])
 
     def contacts(self, kind: str, start: int, stop: int) -> tuple[Indices, list[str]]:
-        """Touch-downs or lift-offs of both feet at samples start..stop-1, and whose they are."""
+        """Touch-downs or lift-offs of both feet at samples start..stop-1, and their sides."""
         at, sides = [], []
         for side, signal in self.legs.items():
             found = getattr(signal.gait, f"{kind}s")(start, stop)

@@ -57,7 +57,7 @@ _WEIGHT_N = 700.0
 class Walker:
     """Who walks, and how. `cadence_per_min` counts strides (one foot's touch-down to its next); spreads are standard deviations.
 
-    `speeds` are the belt's: from which second on, in m/s; before the first, and where there are none, 1.2 m/s. The walker answers as people
+    `speeds` are the belt's: from which second on, in m/s; before the first, and by default, 1.2 m/s. The walker answers as people
     do who walk as they like: the ratio of step length to cadence stays (Sekiya 1996), so cadence goes with the root of the speed, and
     stance is 5 % of the cycle shorter per m/s. Muscles keep their size, which real ones do not.
 
@@ -150,7 +150,7 @@ class Gait:
         return past[-1] if past else USUAL_M_S
 
     def _pace(self) -> tuple[Samples, Samples]:
-        """Samples, and how many strides an even walk has made by then, at the ends of stretches of one speed; none where it is one."""
+        """Samples, and how many strides an even walk has made by then, at the ends of stretches of one speed; empty for a single speed."""
         speeds = self._walker.speeds
         if not speeds:
             return np.empty(0), np.empty(0)

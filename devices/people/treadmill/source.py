@@ -43,7 +43,7 @@ class Treadmill(PacedSource):
     force       (1,) float64, N, at `rate_hz`: vertical ground reaction force under the right foot
 
     With `legs: both` there are two of each muscle (L_TA, R_TA), contacts have a field `limb`, and there are two belts (Fz_left, Fz_right),
-    whose plates may drift and cross-talk. The right leg's samples are those of the right leg alone.
+    with plates that may drift and cross-talk. The right leg's samples are those of the right leg alone.
 
     Sample i is the same whenever, wherever and in whatever chunks it is made (given the seed, and numpy's stream of normal numbers,
     which has not changed since 1.17). Stamps are `start` (or the session's time when reading begins) plus i / `rate_hz`. Lost packets

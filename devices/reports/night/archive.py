@@ -87,7 +87,7 @@ class Facts:
         """Raises ValueError or TypeError where a value cannot be."""
         lists = (self.breaks, self.switched, self.exits, self.settings, self.versions)
         if not all(isinstance(part, list) for part in lists) or not isinstance(self.session, dict):
-            raise TypeError("a list or a mapping is none")
+            raise TypeError("a list or a mapping is not text")
         times = [self.begun, *(self.numbers.get(name, self.begun) for name in ("onset", "end"))]
         if any(not abs(time) < 1 << 62 for time in times) or not 0 < self.epoch_s < 86400:
             raise ValueError("a time or a length cannot be")
@@ -126,7 +126,7 @@ class LoggedEpochs:
         return len(self.onset)
 
     def part(self, begin: int, end: int) -> LoggedEpochs:
-        """Those whose middle lies between two times."""
+        """Those with the middle between two times."""
         middle = (self.onset + self.end) // 2
         here = (middle >= begin) & (middle < end)
         texts = {name: column[here] for name, column in self.texts.items()}
@@ -213,7 +213,7 @@ def find(root: Path, name: str) -> Path:
     for folder in [*known, *damaged(root)]:
         if folder.name == name:
             return folder
-    there = ", ".join(folder.name for folder in known[-5:]) or "none"
+    there = ", ".join(folder.name for folder in known[-5:]) or "no nights"
     raise NightError(f"there is no night {name!r} in {root}; the latest are: {there}")
 
 
@@ -232,7 +232,7 @@ def bytes_of(folder: Path) -> int:
 
 
 def zone_of(name: str) -> tzinfo | None:
-    """A time zone by its name; None, the computer's own, where none is named. Raises KeyError or ValueError."""
+    """A time zone by its name; by default None, the computer's own. Raises KeyError or ValueError."""
     return ZoneInfo(name) if name else None
 
 

@@ -60,8 +60,8 @@ class NightLog(Outlet[LogState, LogRuntime]):
 
     path: str = param("nights", help="the folder of all nights")
     timezone: str = param("", help="of the times in the report, e.g. Europe/Berlin; left out: the computer's")
-    sleeper: str = param("", help="whose night it is, where `seen`, `bed`, `breathing` are of several")
-    keep_days: float = param(0.0, least=0.0, help="older nights are deleted; 0: none is")
+    sleeper: str = param("", help="the sleeper's name, if `seen`, `bed`, `breathing` are of several")
+    keep_days: float = param(0.0, least=0.0, help="older nights are deleted; 0: never")
     report: bool = param(True, help="draw the report in the morning")
 
     def open(self, specs: Specs) -> Specs:

@@ -29,9 +29,9 @@ log = structlog.get_logger(__name__)
 class NightWriter:
     """
     root      the folder of all nights
-    sleeper   whose they are, where the folder has several
+    sleeper   the sleeper's name, if the folder has several
     facts_of  what is known of a night that begins: (onset) -> facts, but for the folder's name
-    told      whether it is known who was in bed when
+    has_seen  whether it is known who was in bed when
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class NightWriter:
         keep_days: float,
         report: bool,
     ) -> None:
-        """`keep_days`: older nights are deleted, 0: none is; `report`: whether nights are drawn."""
+        """`keep_days`: older nights are deleted, 0: never; `report`: whether nights are drawn."""
         self.root, self._state, self._facts_of = root, state, facts_of
         self._sleeper, self._told, self._keep_days = sleeper, has_seen, keep_days
         self._renderer = ReportRenderer() if report else None
@@ -60,7 +60,7 @@ class NightWriter:
         self.last = NEVER
         """Onset of the newest epoch in a log."""
         self._waiting: list[dict[str, Any]] = []
-        """Rows of a night whose folder could not be made yet: the disk is full."""
+        """Rows of a night without a folder yet: the disk is full."""
         self.lost: list[str] = []
 
     def resume(self, now: int, held: Iterable[int]) -> None:
@@ -83,7 +83,7 @@ class NightWriter:
             self.night = OpenNight.go_on(*broken_off)
             self.night.facts.run = self._state.run
             length, written = round(self.night.facts.epoch_s * NS), int(broken_off[2].end[-1])
-            if now != NEVER:  # from the last epoch that is known, final or not, to now, nobody looked
+            if now != NEVER:  # from the last epoch that is known, final or not, to now, the camera was off
                 begin = min(now, max([written, *(onset + length for onset in held)]))
                 self.night.note(self.night.facts.breaks, [begin, now])
                 log.info("the night goes on", night=self.night.folder.name, away_s=(now - begin) // NS)

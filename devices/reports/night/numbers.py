@@ -56,7 +56,7 @@ def span(facts: Facts, epochs: LoggedEpochs) -> tuple[int, int]:
 
 
 def begun_after(facts: Facts, epochs: LoggedEpochs) -> Stretch | None:
-    """The break after which the numbers begin, though the night had begun before it: another session saw that part. None: there is none."""
+    """The break after which the numbers begin, though the night had begun before it: another session saw that part. None: no break."""
     n = facts.numbers
     dark = [int(t) for t, what in facts.switched if what == "lights off"]
     for begin, end in ((int(a), int(b)) for a, b in facts.breaks):
@@ -200,7 +200,7 @@ WHY = {
     "light": "a light, or what else makes the frames noisier",
     "body": "a second body in the region, or the other sleeper moves",
     "still": "no breath and no movement, though the bed is not flat",
-    "region": "something lives where nobody lies: does the region hold?",
+    "region": "something moves outside the bed: is the region right?",
     "learning": "too little was known yet of stillness",
 }
 """Why an epoch was not judged."""

@@ -27,7 +27,7 @@ PAST_WEEK = np.dtype(
      ("efficiency", "<f8"), ("bed", "<f8"), ("rise", "<f8"), ("jet_lag", "<f8"), ("regularity", "<f8")]
 )  # fmt: skip
 EVERY_S, QUIET_S = 2.0, 0.25
-"""How often the folder is looked at, and how often it is said that nothing is new."""
+"""How often the folder is looked at, and how often an empty chunk is emitted."""
 DELETED = "deleted"
 log = structlog.get_logger(__name__)
 
@@ -52,7 +52,7 @@ class PastNights(Source):
     outputs: ClassVar[tuple[str, ...]] = ("out", "weeks")
 
     path: str = param("nights", help="the folder of nights")
-    sleeper: str = param("", help="whose nights, where there are two sleepers")
+    sleeper: str = param("", help="the sleeper's name, if there are two")
     evenings: int = param(56, least=1, most=1000, help="how many of the newest nights, naps and parts")
 
     def specs(self) -> Specs:
@@ -81,9 +81,9 @@ class NightsFolder:
     """A folder of nights as it was looked at last.
 
     read    per folder: what its files' stamps were, and the row
-    told    per output and night or week: the event that was given last
-    missed  why nights could not be read; a night that has just begun may not be whole yet, so it is said when it is so again
-    said    of these, what the log has
+    sent    per output and night or week: the event that was given last
+    missed  why nights could not be read; a night that has just begun may not be whole yet, so it is reported the second time
+    reported  of these, what the log has
     """
 
     root: Path

@@ -16,7 +16,7 @@ def recounted(facts: Facts, epochs: LoggedEpochs) -> dict[str, Any]:
     """The numbers of `facts`, by their own definitions, of the epochs as they are logged; as they were, where nothing broke in on them.
 
     What was final before a power cut is in the log. The session that goes on has lost the newest frames, scores those epochs as not
-    seen, and its statistics count them so. Before the log's first epoch nobody was in bed: that is wake.
+    seen, and its statistics count them so. Before the log's first epoch the bed was empty: that is wake.
     """
     numbers = facts.numbers
     begin, end = int(numbers["onset"]), int(numbers["end"])

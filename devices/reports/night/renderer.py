@@ -1,4 +1,4 @@
-"""Who draws the reports: one process of its own at a time, which nobody waits for, and which is tried again a few times when it fails."""
+"""Draws the reports: one separate process at a time, in the background, retried a few times when it fails."""
 
 from __future__ import annotations
 

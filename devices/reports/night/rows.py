@@ -34,7 +34,7 @@ def check(specs: Specs) -> None:
         if port in specs and (other := float(specs[port].meta.get("epoch_s", length))) != length:
             raise InputError(port, f"epochs of {other:g} s", f"epochs of {length:g} s, as the scored ones are")
     if "map" in specs and len(specs["map"].dtype["map"].shape) != 2:
-        raise InputError("map", specs["map"].describe(), "events whose field `map` is a table (rows, columns)")
+        raise InputError("map", specs["map"].describe(), "events with a table (rows, columns) in the field `map`")
 
 
 def final(row: Any) -> dict[str, Any]:

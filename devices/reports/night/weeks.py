@@ -1,7 +1,7 @@
 """Nights side by side: which is a night and which a nap, what is missing, and how regular they are.
 
 A day here is from noon to noon, named after its evening. Clock times are hours after that noon, by the clock that each night began with,
-so that nothing wraps at midnight and daylight saving moves nobody's bed time.
+so that nothing wraps at midnight and daylight saving moves no bed time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from kinegraph.devices.reports.night.archive import Facts, LoggedEpochs, clock, 
 from kinegraph.stream.chunk import NS, Samples
 
 NAP_H, NAP_FROM_H, NAP_TO_H = 4.0, 21.0, 9.0
-"""A time in bed shorter than this, whose middle lies before the evening's 21:00 or after the morning's 9:00, is a nap."""
+"""A time in bed shorter than this, with its middle before 21:00 or after 9:00, is a nap."""
 SLOTS, SLOT_S = 2880, 30
 """Half minutes of a day."""
 FREE = (5, 6)
@@ -120,7 +120,7 @@ def missing(of: Sequence[NightRow], since: date | None = None, until: date | Non
 
 
 def within(of: Iterable[NightRow], since: date | None, until: date | None) -> list[NightRow]:
-    """Those whose evening lies between two days, both included."""
+    """Those with the evening between two days, both included."""
     return [r for r in of if (since is None or r.evening >= since) and (until is None or r.evening <= until)]
 
 
@@ -166,7 +166,7 @@ def trend(
 
 
 def part_trend(of: Sequence[NightRow], free: Sequence[int], first: date, last: date) -> Trend:
-    """Of a week or month of them; evenings miss a night from the very first night to the last: a week that has begun misses none yet."""
+    """Of a week or month of them; evenings miss a night from the very first night to the last: a new week misses no night yet."""
     lost = sum(first <= day <= last for day in missing(of))
     return replace(trend(of, free, first, last), missing=lost)
 
@@ -182,7 +182,7 @@ def jet_lag(nights: Sequence[NightRow], free: Sequence[int] = FREE) -> float:
 def regularity(of: Sequence[NightRow]) -> tuple[float, int]:
     """The sleep regularity index, and of how many pairs of days it is: -100 + 200 times how likely half a minute is as 24 h before.
 
-    A day counts if its night was logged; what nobody knows of it does not. Out of bed is taken for awake: sleep elsewhere is not seen.
+    A day counts if its night was logged; its unknown parts do not. Out of bed is taken for awake: sleep elsewhere is not seen.
     """
     days: dict[date, Samples] = {}
     for one in of:

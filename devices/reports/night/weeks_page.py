@@ -192,7 +192,7 @@ def _written(d: Difference) -> list[str]:
 
 
 def _signed(value: float) -> str:
-    """A whole number with its sign; what rounds to 0 has none."""
+    """A whole number with its sign; what rounds to 0 has no sign."""
     return f"{value:+.0f}" if abs(value) > 0.5 or value != value else "0"
 
 

@@ -105,7 +105,7 @@ class OpenNight:
 
 
 def readable(folder: Path) -> archive.LoggedEpochs:
-    """A night's epochs; none, and a word in the log, where they cannot be read."""
+    """A night's epochs; if they cannot be read, empty, with a warning in the log."""
     try:
         return archive.read_epochs(folder)
     except archive.NightError as error:

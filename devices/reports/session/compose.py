@@ -116,7 +116,7 @@ def _alarms(tally: Tally) -> list[Noticed]:
 
 
 def _hanging(tally: Tally, specs: Specs) -> tuple[list[tuple[str, float]], float]:
-    """Muscles whose means in stance and swing contacts that are off would change by much, and by how much (%); how far off (ms)."""
+    """Muscles with means in stance and swing that contacts which are off would change by much, and by how much (%); how far off (ms)."""
     statistics = specs.get("statistics")
     if "contact_pct" not in numbers(statistics) or statistics is None:
         return [], 0.0
@@ -149,7 +149,7 @@ def _streams(tally: Tally, specs: Specs, names: Mapping[str, str]) -> list[Strea
 
 
 def _remark(tally: Tally, specs: Specs, i: int) -> str:
-    """What is to be said of a muscle's signal: of the electrode, how often it was not good, and of its cycles' likeness."""
+    """Remarks on a muscle's signal: the electrode, how often it was not good, and the likeness of its cycles."""
     judged, troubled = (int(n) for n in tally.windows[:, i])
     electrode = tally.remarks[i] or tally.trouble[i]
     often = f"{f'{electrode}, ' if electrode else ''}{troubled} of {judged} windows not good" if troubled else electrode

@@ -16,12 +16,12 @@ from kinegraph.stream.data.csv_writer import row_of
 from kinegraph.stream.system.atomic_file import complete
 
 CYCLE = ("duration_s", "stance_pct", "cadence")
-NONE = -1
+EMPTY = -1
 
 
 @dataclass(slots=True)
 class Held:
-    """A cycle whose numbers have not all come: its event (1,), and the numbers (fields, m) so far; number -1: none is held. `limbs`,
+    """A cycle that waits for its numbers: its event (1,), and the numbers (fields, m) so far; number -1: empty. `limbs`,
     `sizes`: where there are several, how many muscles each has."""
 
     number: int
@@ -35,7 +35,7 @@ class Held:
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What is the same in every row: what amplitudes are relative to, and the recording's name, "" where there is none."""
+    """What is the same in every row: what amplitudes are relative to, and the recording's name, or ""."""
 
     amplitudes: str
     recording: str = ""
@@ -45,7 +45,7 @@ def nothing_held(specs: Specs) -> Held:
     fields, muscles = len(numbers(specs.get("statistics"))), specs["cycles"].shape[1]
     limbs = dict(specs["cycles"].meta.get("limbs") or {}) if "limb" in (specs["closed"].dtype.names or ()) else {}
     return Held(
-        NONE, np.zeros(1, specs["closed"].dtype), np.full((fields, muscles), np.nan), 0, _no_flags(specs),
+        EMPTY, np.zeros(1, specs["closed"].dtype), np.full((fields, muscles), np.nan), 0, _no_flags(specs),
         list(limbs), [len(mine) for mine in limbs.values()],
     )  # fmt: skip
 
@@ -108,14 +108,14 @@ def _more(closed: np.dtype[Any]) -> list[str]:
 
 def _awaited(held: Held) -> int:
     """How many muscles the held cycle has."""
-    if not held.limbs or held.number == NONE:
+    if not held.limbs or held.number == EMPTY:
         return int(held.values.shape[1])
     return held.sizes[held.limbs.index(str(held.event["limb"][0]))]
 
 
 def release(held: Held, start_ns: int, about: About) -> bytes:
-    """The line of the held cycle, with what has come of it; nothing if none is held."""
-    if held.number == NONE:
+    """The line of the held cycle, with what has come of it, if any."""
+    if held.number == EMPTY:
         return b""
     event = held.event[0]
     onset = int(event["onset"])
@@ -123,7 +123,7 @@ def release(held: Held, start_ns: int, about: About) -> bytes:
     values += [event[name].item() for name in _more(event.dtype)]
     values += [float(event[name]) for name in CYCLE]
     values += [str(event["rejected"]), about.amplitudes, about.recording, *held.values.T.ravel().tolist(), *held.flags]
-    held.number = NONE
+    held.number = EMPTY
     return row_of(values)
 
 

@@ -144,8 +144,8 @@ def limits(report: Report) -> list[str]:
         )
     if report.unnamed:
         rows.append(
-            f"Of {', '.join(report.unnamed)} nobody looked whether the electrodes were on another muscle from the start: their names say no"
-            " muscle whose activity in walking is known (`muscles` of TimingWatch says which it is)."
+            f"Of {', '.join(report.unnamed)} the electrodes were not checked for being on another muscle from the start: their names are no"
+            " muscle with known activity in walking (`muscles` of TimingWatch says which it is)."
         )
     rows += [WATCHES[port].format(n) for port, n in report.unjudged if port in WATCHES]
     if report.envelopes and report.normalisation in ("", "none"):

@@ -36,7 +36,7 @@ SHAPED = {
     "low": "operators.cycles.statistics.norms.NormativeBands",
     "high": "operators.cycles.statistics.norms.NormativeBands",
 }
-"""Ports with the shape of cycles, and the operator whose output of that name they are."""
+"""Ports with the shape of cycles, and the operator that has an output of that name."""
 
 
 def check_ports(specs: Specs) -> None:

@@ -92,11 +92,11 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     Where cycles name their limb, the limbs' curves of a muscle stand in one panel, and cadence, cycle and stance are given per limb. Where
     they name their stage (`operators.cycles.stages.Stages`), curves and numbers are given per stage, too, and NAME-curves.csv holds the
     mean
-    curves of each stage (of the session, where there are none) with their standard deviations; NAME-remarks.csv what was typed. `tables:
+    curves of each stage (of the session, without stages) with their standard deviations; NAME-remarks.csv what was typed. `tables:
     [xlsx, mat]` writes all tables once more, as NAME.xlsx and NAME.mat.
 
     The CSV file has one row per cycle, rejected ones with the reason, written as the cycle closes. A cycle that is
-    told again (it was taken back, or counts after all) has two rows while the session runs, of which the last counts, and one at its end.
+    reported again (it was taken back, or counts after all) has two rows while the session runs (the last counts) and one at its end.
     Memory is bounded: running statistics
     and at most 200 single curves. Every `interim_s` a page marked "interim" is drawn, so that a crash leaves one; pages are drawn by a
     process of their own and appear whole or not at all. Existing files are never overwritten: a second session gets name-2.html.

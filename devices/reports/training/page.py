@@ -17,7 +17,7 @@ BAR_WIDTH, BARS_HEIGHT = 9, 46
 """Pixels of a repetition's bar, and of the longest one's height."""
 COURSE_WIDTH, COURSE_HEIGHT = 760, 44
 SCALE = 0.1
-"""The height of a course is at least this share of its values, so that a difference nobody can see looks like none."""
+"""The height of a course is at least this share of its values, so that an invisible difference looks like 0."""
 
 
 def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, table: str) -> str:

@@ -72,7 +72,7 @@ def take(training: Training, kind: str, event: Any) -> None:
 
 
 def _beyond(training: Training, event: Any) -> bool:
-    """Whether no more sets are kept, and this repetition is of none that is."""
+    """Whether no more sets are kept, and this repetition belongs to another one."""
     return training.n_sets == len(training.sets) and bool(event["activity"] > training.sets["activity"][-1])
 
 

@@ -37,7 +37,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Muscle:
-    """One muscle: its row of the table (a value and a standard deviation per column) and what is to be said of its signal.
+    """One muscle: its row of the table (a value and a standard deviation per column) and the remarks on its signal.
 
     troubled  share of the time in which the signal was not good
     verdict   "good", "doubtful" or "bad"; "" where quality was not measured
@@ -151,7 +151,7 @@ class Report:
     unjudged: list[tuple[str, int]] = field(default_factory=list)
     """Watches that had too few cycles to say anything: the report's input, and how many they need of a limb."""
     unnamed: list[str] = field(default_factory=list)
-    """Channels whose names say no muscle of which a textbook says when it works."""
+    """Channels with names of no muscle that has a reference pattern."""
 
 
 @dataclass(slots=True)

@@ -50,7 +50,7 @@ def bursts(rows: Array) -> list[Array]:
 
 
 def _stretches(share: Samples) -> Array:
-    """The number of the active stretch that each place (100,) lies in, around the circle, -1 in none; a stretch with a deep valley is two.
+    """The number of the active stretch that each place (100,) lies in, around the circle, or -1; a stretch with a deep valley is two.
 
     A valley is deep where the share falls below half of the lower of its two hills.
     """

@@ -24,7 +24,7 @@ SYMMETRY = (
 BURSTS = (
     "When a muscle is active, by a double threshold with hysteresis (Hodges and Bui 1996; thresholds under Settings). Onset, offset and"
     " duration of the burst that holds the cycle's peak: circular mean ± deviation; an offset below the onset lies in the next cycle. Bars:"
-    " in which share of the cycles the muscle was active, from none (white) to all (dark)."
+    " in which share of the cycles the muscle was active, from 0 % (white) to 100 % (dark)."
 )
 FREQUENCY = (
     "Median of each cycle's power spectrum of the raw EMG, mean ± standard deviation over the cycles, and the straight line through them."
@@ -36,7 +36,7 @@ NORMS = (
 )
 FOOTFALLS = (
     "Phase: when in the reference limb's stride the limb touches down. Duty factor: for how much of the stride it stands. Support is the"
-    " share of the stride with two feet or more on the ground, flight that with none."
+    " share of the stride with two feet or more on the ground, flight that with no foot."
 )
 
 

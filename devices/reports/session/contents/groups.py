@@ -15,7 +15,7 @@ MOST_STAGES = 16
 """This many stages are reported apart; later ones count in the session's numbers only."""
 GAIT = ("cadence", "duration_s", "stance_pct")
 BURSTS = ("cycles", "per_cycle", "on_pct", "on_sd_pct", "off_pct", "off_sd_pct", "duration_pct", "duration_sd_pct")
-NONE = -1
+EMPTY = -1
 
 
 @dataclass(slots=True)
@@ -56,7 +56,7 @@ class Groups:
         limbs = list(specs["cycles"].meta.get("limbs") or ())
         feet = list(specs["footfalls"].meta.get("limb_names") or ()) if "footfalls" in specs else []
         return Groups(
-            limbs, [Running.of((len(GAIT),)) for _ in limbs], [], [], [], [], np.full((REVISABLE, 2), NONE), np.zeros(REVISABLE),
+            limbs, [Running.of((len(GAIT),)) for _ in limbs], [], [], [], [], np.full((REVISABLE, 2), EMPTY), np.zeros(REVISABLE),
             feet, [Running.of((1,), 100.0) for _ in feet], [Running.of((1,)) for _ in feet], Running.of((3,)), [], [],
             [], [], np.full(specs["cycles"].shape, np.nan), [], [],
         )  # fmt: skip
@@ -65,7 +65,7 @@ class Groups:
         """An accepted cycle, kept at `k`."""
         names = row.dtype.names or ()
         gait = [float(row[name]) for name in GAIT]
-        self.where[k] = NONE
+        self.where[k] = EMPTY
         if "limb" in names and str(row["limb"]) in self.limbs:
             self.where[k, 0] = self.limbs.index(str(row["limb"]))
             self.limb_gait[self.where[k, 0]].add(np.array(gait))
@@ -81,24 +81,24 @@ class Groups:
         self.stage_gait[self.where[k, 1]].add(np.array([*gait, self.speeds[k]]))
 
     def curve(self, k: int, curve: Samples) -> None:
-        if self.where[k, 1] != NONE:
+        if self.where[k, 1] != EMPTY:
             self.stage_curves[self.where[k, 1]].add(curve)
 
     def numbers(self, k: int, values: Samples) -> None:
         """The muscles' numbers (fields, m) of a cycle."""
-        if self.where[k, 1] != NONE:
+        if self.where[k, 1] != EMPTY:
             self.stage_fields[self.where[k, 1]].add(values)
 
     def take_out(self, k: int, gait: Samples, curve: Samples, fields: Samples) -> None:
-        """A cycle is about to be told again."""
+        """A cycle is about to be reported again."""
         limb, stage = (int(i) for i in self.where[k])
-        if limb != NONE:
+        if limb != EMPTY:
             self.limb_gait[limb].remove(gait)
-        if stage != NONE:
+        if stage != EMPTY:
             self.stage_gait[stage].remove(np.array([*gait, self.speeds[k]]))
             self.stage_curves[stage].remove(curve)
             self.stage_fields[stage].remove(fields)
-        self.where[k] = NONE
+        self.where[k] = EMPTY
 
     def add(self, port: str, rows: Array) -> None:
         """Footfalls, gaits, symmetry indices."""

@@ -46,7 +46,7 @@ PAIRS = (
 REASONS = {
     "gap": "gap in the signal or the contacts",
     "settling": "filters not settled",
-    "incomplete": "signal missing at an end, or contact told too late",
+    "incomplete": "signal missing at an end, or contact reported too late",
     "order": "a touch-down was missed between two lift-offs",
     "stance": "impossible share of stance",
     "irregular": "duration far from that of its neighbours",
@@ -118,7 +118,7 @@ def facts(session: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def normalisation(meta: Mapping[str, Any]) -> str:
-    """What amplitudes are relative to, whose reference it is and when it was taken; "none" if to nothing."""
+    """What amplitudes are relative to, with the person and date of the reference; "none" if to nothing."""
     method = str(meta.get("normalisation", "none"))
     if method == "none":
         return method
@@ -128,7 +128,7 @@ def normalisation(meta: Mapping[str, Any]) -> str:
 
 
 def relative_to(meta: Mapping[str, Any]) -> str:
-    """The same as it is said beside a number: "not normalised", "normalised to ..."."""
+    """The same as it is printed beside a number: "not normalised", "normalised to ..."."""
     return normalisation_text(normalisation(meta))
 
 
@@ -153,7 +153,7 @@ def recording(graph: Graph | None) -> Iterator[tuple[str, str]]:
 
 
 def settings(graph: Graph) -> Iterator[Setting]:
-    """Every source and operator with all its parameters, given or not. What was imported in a source's place has none of these."""
+    """Every source and operator with all its parameters, given or not. Imported streams have no parameters."""
     for node in graph.nodes.values():
         if isinstance(node.part, Outlet) or getattr(node.part, "background", False):
             continue

@@ -16,7 +16,7 @@ ACCEPTED = -1
 @dataclass(slots=True)
 class Revisable:
     """
-    numbers, stamps (64,)     of the latest cycles, a ring, and of their events; `seen` in all; number -1: none
+    numbers, stamps (64,)     of the latest cycles, a ring, and of their events; `seen` in all; number -1: empty
     reasons (64,)             why each was rejected, as a number of the reader's own; ACCEPTED: it was not
     onsets (64,)              when each began
     gait (64, 3), curves (64, points, m), fields (64, f, m)   what was added up of it, NaN where nothing was
@@ -56,7 +56,7 @@ class Revisable:
         return k
 
     def awaiting(self, stamp: int) -> int | None:
-        """Where the first accepted cycle told at `stamp` stands whose curve has not come."""
+        """Index of the first accepted cycle at `stamp` that still waits for its curve."""
         here = (self.stamps == stamp) & (self.reasons == ACCEPTED) & (self.numbers >= 0)
         found = np.flatnonzero(here & np.isnan(self.curves).all(axis=(1, 2)))
         return int(found[0]) if len(found) else None

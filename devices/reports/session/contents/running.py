@@ -90,7 +90,7 @@ class Choice:
         return Choice(np.zeros((room, *shape), np.float32), np.zeros(room, np.int64))
 
     def add(self, values: Array, number: int = 0) -> None:
-        """One more array of the shape, by whose `number` it can be removed."""
+        """Add an array of the shape; `number` can remove it later."""
         if self.seen % self.step == 0:
             if self.count == len(self.kept):
                 half = self.kept[::2].copy()

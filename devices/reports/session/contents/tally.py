@@ -33,7 +33,7 @@ ALARM_PORTS = ("electrodes", "contacts", "changes", "channels", "patterns", "tim
 @dataclass(slots=True)
 class Tally:
     """
-    started, ended   first and last stamp seen (ns); -1: none yet
+    started, ended   first and last stamp seen (ns); -1: not yet
     accepted         how many cycles
     reasons, counts  why cycles were rejected, and how often each
     rejections       (200,) the first of them
@@ -42,7 +42,7 @@ class Tally:
     single           some of them
     fields           per number of a muscle in a cycle: (m,)
     overall          (fields, m) the latest numbers of each muscle over all cycles
-    repeatable       per muscle, what is said of its cycles' likeness
+    repeatable       per muscle, the likeness of its cycles
     flags, remarks   per muscle, the electrode's flag over the whole session, and why
     windows          (2, m) how many windows were judged, and how many of them were not good; trouble: why the latest was not
     pairs            (p,) the latest co-contraction over all cycles; pair_names
@@ -50,7 +50,7 @@ class Tally:
     alarms           (200,) the first alarms; alarmed: how many in all
     heard            (ports, 3) samples, gaps, samples lost (-1: not known) per port
     groups           the same by limb and by stage;  peaks: mixtures of activation peaks
-    typed            what a person said during the session
+    typed            what a person typed during the session
     each_burst       every burst of the latest cycles;  frequencies: each cycle's median frequency;  slopes (m,): the latest, %/min
     norms            (2, 100, m) normative bands, low and high; NaN where unknown
     """
