@@ -144,7 +144,7 @@ def limits(report: Report) -> list[str]:
         )
     if report.unnamed:
         rows.append(
-            f"Not checked: whether electrodes of {', '.join(report.unnamed)} were on another muscle from the start, since their names are no"
+            f"Unchecked: whether electrodes of {', '.join(report.unnamed)} were on another muscle from the start, since their names are no"
             " muscle with known activity in walking (`muscles` of TimingWatch says which it is)."
         )
     rows += [WATCHES[port].format(n) for port, n in report.unjudged if port in WATCHES]
