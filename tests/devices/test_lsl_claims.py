@@ -62,7 +62,7 @@ def findings(declared: float, sent: float, epoch: float = 0.0, policy: Policy = 
     feed = ScriptedFeed()
     sender = Sender(feed, declared, sent, epoch)
     Pull(sender, sender.described.spec, feed, 0.5, 0.0, 5.0, policy).run()  # type: ignore[arg-type]
-    return [(kind, facts) for kind, facts in feed.told if kind in ("rate mismatch", "stamps of another clock")]
+    return [(kind, facts) for kind, facts in feed.reports if kind in ("rate mismatch", "stamps of another clock")]
 
 
 @pytest.mark.parametrize(("declared", "sent"), [(250.0, 125.0), (256.0, 250.0), (100.0, 250.0)])

@@ -23,7 +23,7 @@ from kinegraph.devices.oak import Oak
 from kinegraph.devices.oak.adapter import Frames, ImuPackets, Message
 from kinegraph.devices.oak.camera import CameraLink, _depth, lit, opened
 from kinegraph.devices.oak.discovery import described
-from kinegraph.devices.oak.library import NONE, all_cameras, library, not_opened, ns
+from kinegraph.devices.oak.library import NOT_FOUND, all_cameras, library, not_opened, ns
 from kinegraph.devices.oak.simulator import BOOTED_S, SimulatedCamera, SimulatedOak
 from kinegraph.devices.oak.simulator import OakSimulator as Simulated
 from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
@@ -178,7 +178,7 @@ def camera(**differing: Any) -> SimpleNamespace:
 
 
 def test_errors_say_what_to_do() -> None:
-    assert str(not_opened(fake(), "", RuntimeError("x"))) == NONE
+    assert str(not_opened(fake(), "", RuntimeError("x"))) == NOT_FOUND
     denied = str(not_opened(fake(camera(status="denied")), "", RuntimeError("x")))
     assert "permission denied" in denied and 'ATTR{idVendor}=="03e7"' in denied and "udevadm" in denied
     elsewhere = str(not_opened(fake(camera()), "192.168.1.40", RuntimeError("x")))
@@ -321,7 +321,7 @@ class TestWithDepthai:
             assert isinstance(feed.error, DeviceError) and "has not come back within 0.5 s" in str(feed.error)
             with reading(source) as feed:
                 wait_for(lambda: feed.error is not None)
-            assert str(feed.error) == NONE
+            assert str(feed.error) == NOT_FOUND
             simulated.plug()
             with reading(source) as feed:
                 wait_for(lambda: feed.count("depth") >= 5)

@@ -92,7 +92,7 @@ def test_an_archive_of_a_pose_network_is_taken(points: int, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("expected", "name", "why"),
     [
-        (config(HEAD), "settings.json", "config.json in it; this archive has none"),
+        (config(HEAD), "settings.json", "config.json in it; this archive lacks it"),
         (b"{broken", "config.json", "this one is not JSON"),
         ([1, 2], "config.json", "holds no settings"),
         ({"model": {}}, "config.json", "names the network's heads"),
@@ -102,7 +102,7 @@ def test_an_archive_of_a_pose_network_is_taken(points: int, tmp_path: Path) -> N
             "config.json",
             r"17 \(COCO\), 33 \(BlazePose\); this one is YOLO with 21",
         ),
-        (config({**HEAD, "parser": "HRNetParser"}), "config.json", "whose parser is YOLO.*HRNetParser with 17"),
+        (config({**HEAD, "parser": "HRNetParser"}), "config.json", "with the parser YOLO.*HRNetParser with 17"),
         (config("YOLO"), "config.json", "YOLO with no key points"),
     ],
 )

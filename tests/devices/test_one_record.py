@@ -139,10 +139,10 @@ def test_messages_of_any_shape_after_any_other() -> None:
                 + data
                 + (struct.pack(">i", len(more)) + more if more else b"")
             )
-        assert said(reader.read, data) == said(read_osc, data)
+        assert decoded(reader.read, data) == decoded(read_osc, data)
 
 
-def said(read: Any, data: bytes) -> Any:
+def decoded(read: Any, data: bytes) -> Any:
     try:
         return [(address, list(arguments)) for address, arguments in read(data)]
     except OscError as error:

@@ -25,12 +25,12 @@ def chunk(stamps: list[int], until: int, lost: int = 0) -> Chunk:
     return Chunk(np.array(stamps, np.int64), np.array(stamps, float).reshape(-1, 1), until, lost)
 
 
-def told(made: Chunk | None) -> Any:
+def as_lists(made: Chunk | None) -> Any:
     return None if made is None else (made.time.tolist(), made.data[:, 0].tolist(), made.until, made.lost)
 
 
 def entered(stamps: list[int], until: int, lost: int = 0) -> Any:
-    return told(chunk(stamps, until, lost))
+    return as_lists(chunk(stamps, until, lost))
 
 
 NO = {"has_readers": False}
@@ -76,12 +76,12 @@ def test_a_word_is_stamped_by_the_data_and_never_late(case: str) -> None:
 @pytest.mark.parametrize("case", TABLE)
 def test_what_enters(case: str) -> None:
     given, watermark, pending_gap, options, expected, late = TABLE[case]
-    before = told(given)
+    before = as_lists(given)
     verdict = admit(given, watermark, pending_gap, arrival=0, **{"has_readers": True, "checks_clock": False, **options})
-    assert (told(verdict.chunk), verdict.late) == (expected, late)
-    assert told(given) == before, "what a source gave is left as it is"
+    assert (as_lists(verdict.chunk), verdict.late) == (expected, late)
+    assert as_lists(given) == before, "what a source gave is left as it is"
     again = admit(given, watermark, pending_gap, arrival=0, **{"has_readers": True, "checks_clock": False, **options})
-    assert told(again.chunk) == expected
+    assert as_lists(again.chunk) == expected
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_arrays_of_other_kinds_are_converted_and_others_left_alone() -> None:
     right = chunk([1, 2], 2)
     assert conform(SPEC, right) is right
     made = conform(SPEC, Chunk([1, 2], [[1], [2]], 2))  # type: ignore[arg-type]
-    assert told(made) == told(right) and made.data.dtype == np.float64 and made.time.dtype == np.int64
+    assert as_lists(made) == as_lists(right) and made.data.dtype == np.float64 and made.time.dtype == np.int64
 
 
 def other(**changes: Any) -> Chunk:
@@ -170,7 +170,7 @@ class Before:
         self.done.append("waited")
 
     def replace_oldest(self, chunk: Chunk, arrival: int) -> bool:
-        self.done.append(f"dropped the oldest for {told(chunk)} of {arrival}")
+        self.done.append(f"dropped the oldest for {as_lists(chunk)} of {arrival}")
         return True
 
 

@@ -137,8 +137,8 @@ def test_the_help_of_a_group_is_not_cut_off_and_fits_the_terminal(
     monkeypatch.setenv("COLUMNS", "80")
     out = kinegraph("motion", "train", "--help")[1]
     assert max(map(len, out.splitlines())) <= 80
-    told = " ".join(out.split())
-    assert "steering Learn how a mesh moves with a few of its vertices (thesis, chapter 9). steps" in told
+    text = " ".join(out.split())
+    assert "steering Learn how a mesh moves with a few of its vertices (thesis, chapter 9). steps" in text
 
 
 @pytest.mark.parametrize(

@@ -32,8 +32,8 @@ PRINTING = (
 
 
 def results(kinegraph: Command, *arguments: object) -> Any:
-    code, out, told = kinegraph(*arguments, "--json")
-    assert code == 0, told
+    code, out, output = kinegraph(*arguments, "--json")
+    assert code == 0, output
     return json.loads(out)
 
 

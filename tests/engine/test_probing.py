@@ -38,8 +38,8 @@ def test_a_missing_port_is_named_before_anything_compiles(
 ) -> None:
     monkeypatch.setattr("kinegraph.stream.engine.session.warm_up", lambda *_: pytest.fail("it compiles"))
     (tmp_path / "graph.yaml").write_text(BOARD % "")
-    told = kinegraph("run", "graph.yaml", "--view", "none")
-    refused(told, "source 'board'", "/dev/ttyNOTTHERE does not exist", "'/dev/ttyNOTTHEIR'", "--simulate", code=3)
+    output = kinegraph("run", "graph.yaml", "--view", "none")
+    refused(output, "source 'board'", "/dev/ttyNOTTHERE does not exist", "'/dev/ttyNOTTHEIR'", "--simulate", code=3)
     assert not (tmp_path / "recordings").exists(), "nothing is recorded of a session that has not begun"
 
 
@@ -57,8 +57,8 @@ def test_a_stream_that_may_appear_is_named_and_waited_for(monkeypatch: pytest.Mo
     monkeypatch.setattr(LslInlet, "missing", lambda _: "no LSL stream")
     with capture_logs() as logs:
         probing.probe(load_text("nodes:\n  eeg: {use: devices.lsl.LslInlet, name: EEG, channels: 1}\n"))
-    (told,) = logs
-    assert told["node"] == "eeg" and "no LSL stream" in told["error"] and "--simulate" in told["error"]
+    (reported,) = logs
+    assert reported["node"] == "eeg" and "no LSL stream" in reported["error"] and "--simulate" in reported["error"]
 
 
 def test_a_simulated_device_is_not_looked_for(ports: None) -> None:
@@ -98,8 +98,8 @@ def test_a_port_that_is_there_is_not_missing(ports: None) -> None:
 
 def test_a_usb_device_is_named_with_its_sibling(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(usb_bus, "connected", lambda: [SimpleNamespace(idVendor=0x2639, idProduct=0x0017)])
-    told = transport.missing("usb://2639:0003")
-    assert "usb://2639:0003 is not there" in told and "there is usb://2639:0017" in told
+    reported = transport.missing("usb://2639:0003")
+    assert "usb://2639:0003 is not there" in reported and "there is usb://2639:0017" in reported
 
 
 def test_a_camera_that_is_not_among_those_seen(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,6 +117,6 @@ def test_a_stream_that_nobody_sends_is_named_with_the_nearest(monkeypatch: pytes
     lsl = SimpleNamespace(ContinuousResolver=lambda: SimpleNamespace(results=lambda: [info]))
     monkeypatch.setattr("kinegraph.devices.lsl.inlet.library", lambda _: lsl)
     monkeypatch.setattr("kinegraph.devices.lsl.find.PROBE_S", 0.0)
-    told = LslInlet(name="OpenBCI_EEG", channels=1).missing()
-    assert "no LSL stream with name 'OpenBCI_EEG'" in told and "did you mean 'OpenBCI_EMG'?" in told
+    reported = LslInlet(name="OpenBCI_EEG", channels=1).missing()
+    assert "no LSL stream with name 'OpenBCI_EEG'" in reported and "did you mean 'OpenBCI_EMG'?" in reported
     assert LslInlet(name="OpenBCI_EMG", channels=1).missing() == ""

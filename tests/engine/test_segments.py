@@ -105,15 +105,15 @@ class Stampless(Rectify):
 
 
 @pytest.mark.parametrize(
-    ("part", "told"),
+    ("part", "message"),
     [
         ("Slip", "the kernel of Slip is to be given 'line', which is neither a field of its state nor a parameter"),
         ("Stampless", "Stampless leaves samples out .`rows`., so its kernel must be given `stamps`"),
     ],
 )
-def test_a_slip_in_a_declaration_names_the_node(part: str, told: str) -> None:
+def test_a_slip_in_a_declaration_names_the_node(part: str, message: str) -> None:
     text = GRAPH.replace("operators.filters.rectify.Rectify", f"tests.engine.test_segments.{part}")
-    with pytest.raises(GraphError, match=f"node 'rectify': {told}"):
+    with pytest.raises(GraphError, match=f"node 'rectify': {message}"):
         load_text(text)
 
 

@@ -47,8 +47,8 @@ def test_it_opens_the_browser_at_the_page_and_loses_a_second(
 ) -> None:
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", lambda url: bool(opened.append(url)) or True)
-    code, _, told = kinegraph("demo")
-    assert code == 0 and "lost on purpose" in told, told
+    code, _, output = kinegraph("demo")
+    assert code == 0 and "lost on purpose" in output, output
     (fault,) = conducted["graph"].nodes["treadmill"].part.faults
     assert (fault.kind, fault.for_s) == ("lost", 1.0)
     assert conducted["duration_s"] == demos.UNATTENDED_S, "nobody is there to end it"

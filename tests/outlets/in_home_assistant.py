@@ -62,7 +62,7 @@ async def main() -> None:
             "state": state.state if state else None, "unique_id": e.unique_id, "category": e.entity_category,
             "attributes": dict(state.attributes) if state else {}, "device": device.name, "area": area.name if area else None,
         }  # fmt: skip
-    print("TOLD " + json.dumps(facts, default=str), flush=True)
+    print("FACTS " + json.dumps(facts, default=str), flush=True)
     await hass.async_stop(force=True)
 
 

@@ -96,10 +96,10 @@ def test_home_assistant_makes_of_it_what_the_docs_say(tmp_path: Path) -> None:
         topics = {topic: json.loads(text) for topic, text, _ in client.messages if topic.endswith("/config")}
     for topic, message in topics.items():
         home_assistant.check(topic, message)
-    (line,) = [line for line in done.stdout.splitlines() if line.startswith("TOLD ")] or pytest.fail(
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("FACTS ")] or pytest.fail(
         done.stderr[-3000:]
     )
-    record = json.loads(line.removeprefix("TOLD "))
+    record = json.loads(line.removeprefix("FACTS "))
     assert {e["unique_id"] for e in record.values()} == {m["unique_id"] for m in topics.values()}, done.stderr[-2000:]
     assert {(e["device"], e["area"]) for e in record.values()} == {("Bed", "Bedroom")}
     assert {e["state"] for e in record.values()} & {"unknown", "unavailable", None} == set(), record

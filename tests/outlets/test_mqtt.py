@@ -68,7 +68,7 @@ def epochs(*numbers: int, final: bool = True, state: str = "sleep") -> Chunk:
     return Chunk(stamps, np.array([(t, state, final, 0.5) for t in stamps.tolist()], EPOCH), int(stamps[-1]))
 
 
-def told(client: Listener) -> list[int]:
+def counts(client: Listener) -> list[int]:
     """The numbers of the epochs in the history, as they came."""
     return [(json.loads(text)["key"] - START) // (30 * NS) for text in client.texts(f"{PREFIX}/history/scorer")]
 
@@ -107,9 +107,9 @@ def test_states_discovery_and_availability(tmp_path: Path) -> None:
             first = json.loads(client.wait_for(f"{PREFIX}/history/scorer"))
             assert {k: first[k] for k in ("onset", "state", "final", "score")} == {
                 "onset": utc(START + 30 * NS), "state": "sleep", "final": True, "score": 0.5,
-            } or told(client) == [1, 2]  # fmt: skip
+            } or counts(client) == [1, 2]  # fmt: skip
         client.wait_for(f"{PREFIX}/availability", "offline")
-    assert told(client) == [1, 2]
+    assert counts(client) == [1, 2]
 
 
 def test_what_is_told_is_retained_and_told_again_when_home_assistant_starts(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_what_is_told_is_retained_and_told_again_when_home_assistant_starts(tmp_
             late.say("homeassistant/status", "online")
             late.wait(lambda: sum(topic == config for topic, *_ in late.messages) >= 2)
             late.wait(lambda: sum(topic == f"{PREFIX}/asleep/state" for topic, *_ in late.messages) >= 2)
-        assert len(told(late)) <= 1  # the history is not told again
+        assert len(counts(late)) <= 1  # the history is not told again
 
 
 def test_the_broker_says_when_we_vanish(tmp_path: Path) -> None:
@@ -141,16 +141,16 @@ def test_a_broker_that_is_down_at_start_and_goes_and_comes_back(tmp_path: Path) 
         mosquitto.start()
         try:
             with listening(mosquitto.port) as client:
-                client.wait(lambda: told(client)[-1:] == [2])
-                first = told(client)
+                client.wait(lambda: counts(client)[-1:] == [2])
+                first = counts(client)
                 made.process("scorer", epochs(3))
-                client.wait(lambda: told(client)[-1:] == [3])
+                client.wait(lambda: counts(client)[-1:] == [3])
             mosquitto.stop()
             made.process("scorer", epochs(4, 5, state="wake"))
             mosquitto.start()
             with listening(mosquitto.port) as client:
-                client.wait(lambda: told(client)[-1:] == [5])
-                second = told(client)
+                client.wait(lambda: counts(client)[-1:] == [5])
+                second = counts(client)
                 client.wait_for(f"{PREFIX}/asleep/state", "OFF")
                 client.wait_for(f"{PREFIX}/availability", "online")
         finally:
@@ -171,17 +171,17 @@ def test_nothing_is_sent_twice_after_a_killed_process(tmp_path: Path, ledger: bo
         made = outlet(mosquitto.port, path)
         made.begin()
         made.process("scorer", epochs(0, 1))
-        client.wait(lambda: told(client) == [0, 1])
+        client.wait(lambda: counts(client) == [0, 1])
         checkpoint = made.snapshot()
         made.process("scorer", epochs(2, 3, 4))
-        client.wait(lambda: told(client) == [0, 1, 2, 3, 4])
+        client.wait(lambda: counts(client) == [0, 1, 2, 3, 4])
         vanish(made)
         again = outlet(mosquitto.port, path)
         again.restore(checkpoint)
         with running(again):
             again.process("scorer", epochs(2, 3, 4, 5))
-            client.wait(lambda: told(client)[-1:] == [5])
-    assert told(client) == [0, 1, 2, 3, 4, 5]
+            client.wait(lambda: counts(client)[-1:] == [5])
+    assert counts(client) == [0, 1, 2, 3, 4, 5]
 
 
 def test_a_new_session_owes_nothing_to_the_former_ones(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_new_session_owes_nothing_to_the_former_ones(tmp_path: Path) -> None:
             with running(outlet(mosquitto.port, tmp_path / "sent.json")) as made:
                 made.process("scorer", epochs(0, 1))
                 eventually(lambda made=made: bool(made.runtime.messages and made.runtime.messages.empty))
-        client.wait(lambda: told(client) == [0, 1, 0, 1])
+        client.wait(lambda: counts(client) == [0, 1, 0, 1])
 
 
 def test_a_message_queue_is_bounded_and_survives_in_a_checkpoint() -> None:
@@ -335,7 +335,7 @@ def test_what_waits_at_the_end_is_sent_if_the_broker_is_back(tmp_path: Path) -> 
             made.close()
         with listening(mosquitto.port) as late:
             late.wait_for(f"{PREFIX}/history/scorer")
-            assert told(late) == [99]  # the retained one
+            assert counts(late) == [99]  # the retained one
     finally:
         mosquitto.stop()
     assert not [line for line in logs if line["log_level"] == "warning"]

@@ -36,7 +36,7 @@ MESSAGE = struct.Struct("<BIQ")
 """Opcode, subscription, stamp (ns)."""
 
 
-def told(client: ClientConnection, what: str) -> dict[str, Any]:
+def received(client: ClientConnection, what: str) -> dict[str, Any]:
     while True:
         message = client.recv(timeout=120)
         if isinstance(message, str) and (found := json.loads(message))["op"] == what:
@@ -63,10 +63,10 @@ def test_a_client_of_foxgloves_protocol_gets_what_is_recorded(tmp_path: Path) ->
             process = FoxgloveProcess(running, log)
             protocol = [Subprotocol("foxglove.sdk.v1")]
             with connect(process.url, subprotocols=protocol, compression=None, max_size=None) as client:
-                assert told(client, "serverInfo")["name"] == "small"
+                assert received(client, "serverInfo")["name"] == "small"
                 channels: dict[str, dict[str, Any]] = {}
                 while not {"board.emg", "calf", "active.interval"} <= channels.keys():
-                    channels |= {c["topic"]: c for c in told(client, "advertise")["channels"]}
+                    channels |= {c["topic"]: c for c in received(client, "advertise")["channels"]}
                 wanted = {1: channels["calf"], 2: channels["active.interval"]}
                 asked = [{"id": i, "channelId": channel["id"]} for i, channel in wanted.items()]
                 client.send(json.dumps({"op": "subscribe", "subscriptions": asked}))

@@ -60,8 +60,8 @@ def test_on_a_terminal_the_page_stays_with_the_report_until_ctrl_c(graph: Path, 
     with page_process(graph, "run", "graph.yaml", *options, terminal=terminal) as process:
         with process.client() as client:
             see(client)
-            told = until(client, "state", over="the session has ended", reports=["the report.html"])
-            assert told["table"]["board.emg"]["samples"], "what was measured is still there"
+            reported = until(client, "state", over="the session has ended", reports=["the report.html"])
+            assert reported["table"]["board.emg"]["samples"], "what was measured is still there"
         with urllib.request.urlopen(process.at("reports/0")) as report:
             assert report.read() == b"<b>42 cycles</b>"
             policy = report.headers["Content-Security-Policy"]
@@ -72,7 +72,7 @@ def test_on_a_terminal_the_page_stays_with_the_report_until_ctrl_c(graph: Path, 
         for path in ("reports/1", "reports/-1", "reports/../leaves.py", "reports/"):
             with pytest.raises(urllib.error.HTTPError, match="404"):
                 urllib.request.urlopen(process.at(path))
-        assert "stays until Ctrl-C" in process.said
+        assert "stays until Ctrl-C" in process.output
         assert process.stop() == 0
 
 
@@ -83,7 +83,7 @@ def test_without_a_terminal_or_for_a_given_time_the_command_ends_with_the_sessio
     there = terminal if options else None
     with page_process(graph, "run", "graph.yaml", "--no-record", "--view", "none", *options, terminal=there) as process:
         assert process.process.wait(60) == 0
-        assert "stays until" not in process.said
+        assert "stays until" not in process.output
 
 
 def test_a_session_that_was_ended_by_a_service_manager_does_not_stay(graph: Path, terminal: int) -> None:
@@ -94,12 +94,12 @@ def test_a_session_that_was_ended_by_a_service_manager_does_not_stay(graph: Path
             until(client, "signal")
         process.process.terminate()
         assert process.process.wait(60) == 0
-        assert "stays until" not in process.said
+        assert "stays until" not in process.output
 
 
 def test_the_end_without_reports_keeps_those_that_were_named() -> None:
     hub = Hub(lambda _: None)
     hub.hear({"t": "over", "why": "the session has ended", "reports": ["/a/report.html"]}, memoryview(b""))
     hub.hear({"t": "over", "why": "the session has ended"}, memoryview(b""))
-    (told,) = hub.news_for(Looking())
-    assert decode(told)[0]["reports"] == ["report.html"], "clients are told no paths"
+    (reported,) = hub.news_for(Looking())
+    assert decode(reported)[0]["reports"] == ["report.html"], "clients get no paths"
