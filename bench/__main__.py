@@ -89,7 +89,7 @@ def about(field: Field, load: float, took_s: float) -> str:
     versions = {name: v for engine in field.engines.values() for name, v in engine.versions.items()}
     lines = [
         f"Measured by `make bench` on {_processor()} ({os.cpu_count()} cores), {platform.system()}, Python {platform.python_version()}, "
-        f"in {took_s / 60:.0f} minutes; rounds of all contenders interleaved, medians if nothing else is said. "
+        f"in {took_s / 60:.0f} minutes; rounds of all contenders interleaved, medians unless stated otherwise. "
         + ", ".join(f"{name} {v}" for name, v in versions.items())
         + "."
     ]

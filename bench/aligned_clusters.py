@@ -144,7 +144,7 @@ def inner(alike: Samples, starts: Times, ends: Times, label: Times, clusters: in
 def recut(
     alike: Samples, starts: Times, ends: Times, label: Times, spread: Samples, count: Times, least: int, most: int
 ) -> tuple[Times, Times, Times, float]:
-    """The cuts, of all with segments of `least` to `most` frames, whose segments are nearest to the clusters; and the sum of distances."""
+    """The cuts, of all with segments of `least` to `most` frames, with segments nearest to the clusters; and the sum of distances."""
     frames, clusters = alike.shape[0], spread.shape[0]
     longest = (ends - starts).max()
     room, one, sums = np.zeros((2, longest + 1)), np.zeros(most + 1), np.zeros((clusters, most + 1))

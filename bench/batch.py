@@ -29,7 +29,7 @@ STEPS = np.array([[1, 1, 0], [1, 1, 1], [0, 1, 1]])
 
 @dataclass(slots=True)
 class Batch:
-    """Frames: of activities (first, last + 1), whether each is a transition, of primitives and the number of the repetition, 0 for none."""
+    """Frames: of activities (first, last + 1), whether each is a transition, of primitives and the number of the repetition, or 0."""
 
     activities: Array
     transition: Array
@@ -123,7 +123,7 @@ def is_valid(rows: int, columns: int, nodes: int) -> bool:
 def shortest_path(apart: Samples) -> tuple[float, int, int, int]:
     """The cheapest way from the first row to the last of `apart` (rows, columns; inf: no node), by steps (1,1), (0,1), (1,0).
 
-    Returns its cost (the sum of its nodes' distances), first and last column, and number of nodes, 0 where there is none.
+    Returns its cost (the sum of its nodes' distances), first and last column, and number of nodes, or 0.
     """
     rows, columns = apart.shape
     cost, begin, nodes = (

@@ -269,7 +269,7 @@ def main() -> None:
 
 
 def together(nights: list[Agreement]) -> Agreement:
-    """All nights as one: counts are added, kappas are of all epochs together (of the hypnogram: not told)."""
+    """All nights as one: counts are added, kappas are of all epochs together (of the hypnogram: unknown)."""
     states = np.concatenate([made.states for made in nights], axis=1)
     counts = ("epochs", "unknown", "exits", "found", "false", "still", "known", "near")
     totals = {name: sum(getattr(made, name) for made in nights) for name in counts}

@@ -70,7 +70,7 @@ class _Kept:
 
 
 def markers(frames: Any, *, depth_alone: bool) -> tuple[Any, Any]:
-    """Markers (n, 13, 3) and confidence (n, 13), nobody having been seen before."""
+    """Markers (n, 13, 3) and confidence (n, 13), without an earlier person."""
     operator = Markers(least=0.0, presence=0.0 if depth_alone else 0.5)
     camera = dict(zip(("fx", "fy", "cx", "cy"), CAMERA.tolist(), strict=True))
     operator.open({"in": StreamSpec((), SEEN, rate_hz=30.0, units=("px, m", "", ""), meta={"camera": camera})})

@@ -286,7 +286,7 @@ os._exit(0)
 
 
 def sending(port: int, kind: str, hz: float, stop: threading.Event) -> None:
-    """Datagrams of a counter and three numbers to a port of this machine, until told to stop."""
+    """Datagrams of a counter and three numbers to a port of this machine, until stopped."""
     due, i = time.monotonic(), 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         while not stop.wait(max(0.0, due - time.monotonic())):

@@ -266,7 +266,7 @@ def _arrivals(fetch: Callable[[], bytes], packets: int) -> list[int]:
 
 @contextmanager
 def _writer(packets: int) -> Iterator[tuple[str, Callable[[], None]]]:
-    """A process that writes packets when told to."""
+    """A process that writes packets on request."""
     command = [sys.executable, "-c", WRITER, str(PACKETS_HZ), str(packets)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin and process.stdout

@@ -127,7 +127,7 @@ def _no_lifts(w: Treading) -> None:
 
 
 def _short_stance(w: Treading) -> None:
-    """The foot is said to leave the ground at 8 % of the cycle."""
+    """The foot is reported to leave the ground at 8 % of the cycle."""
     period = np.diff(w.down).mean()
     w.up = np.sort(np.where(w.up >= FROM_S, w.down[np.searchsorted(w.down, w.up) - 1] + 0.08 * period, w.up))
 

@@ -25,7 +25,7 @@ from kinegraph.stream.engine.flow.merge import Merge
 Stream: TypeAlias = tuple[Any, Any, Any]
 """Spec, stamps, samples."""
 Numbers: TypeAlias = dict[tuple[str, str], float]
-"""Whose, what: its mean over the cycles."""
+"""(Name, quantity): its mean over the cycles."""
 OF_A_MUSCLE = {"peak": "peak", "mean": "mean", "mean_stance": "mean in stance", "mean_swing": "mean in swing"}
 HANGING, MUCH_PCT = ("mean in stance", "mean in swing"), 10.0
 """What contacts that are off change, and from what change on the report marks it."""
@@ -61,7 +61,7 @@ def drive(operator: Any, inputs: dict[str, Stream], lost: Any = None) -> dict[st
 
 @dataclass
 class Outcome:
-    """Numbers of all cycles, and of those left in; alarms (s, whose, what); good cycles; what the report says at the end; by how much (%)
+    """Numbers of all cycles, and of those left in; alarms (s, name, kind); good cycles; what the report says at the end; by how much (%)
     each muscle's means in stance and swing depend on contacts."""
 
     every: Numbers

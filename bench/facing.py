@@ -2,7 +2,7 @@
 
 Needs the folder that KINEGRAPH_DATA names. Poses of 13 motion sequences on one mesh, at random headings, are rendered with the camera's
 noise; a hidden layer learns the heading of shoulders and hips from the shape. Then the headings of another mesh in four other sequences are
-told, and the share that is turned round is printed. `--poses N`: how many are rendered; 4000 take some minutes.
+reported, and the share that is turned round is printed. `--poses N`: how many are rendered; 4000 take some minutes.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def trained(x: Any, y: Any, random: np.random.Generator) -> dict[str, Any]:
 
 
 def turned_round(weights: dict[str, Any], x: Any, y: Any) -> float:
-    """The share of shapes whose heading is more than 90 degrees off."""
+    """The share of shapes with a heading more than 90 degrees off."""
     kept = [weights[name].astype(float) for name in ("hidden", "hidden_bias", "out", "out_bias")]
     result = np.empty(2)
     wrong = 0

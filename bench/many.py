@@ -37,9 +37,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m bench.many", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--jobs", type=int, default=12, help="replays of two minutes of 13 channels at 1 kHz; 0: none")
+    parser.add_argument("--jobs", type=int, default=12, help="replays of two minutes of 13 channels at 1 kHz; 0: skip")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--sleeping", type=int, default=2000, help="jobs that only sleep; up to 100000; 0: none")
+    parser.add_argument("--sleeping", type=int, default=2000, help="jobs that only sleep; up to 100000; 0: skip")
     parser.add_argument("--sleep-ms", type=float, default=10.0)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 4, 16], help="of the sleeping jobs")
     given = parser.parse_args()

@@ -106,7 +106,7 @@ def watched(hours: float, seed: int, muscle: str, **settings: int) -> tuple[int,
 
 
 def alarms(hours: float, seeds: list[int], muscles: list[str], **settings: int) -> None:
-    """False alarms in steady walking, and how soon three changes at minute 5 are told."""
+    """False alarms in steady walking, and how soon three changes at minute 5 are reported."""
     for muscle in muscles:
         runs = [watched(hours, seed, muscle, **settings) for seed in seeds]
         late = list[str]()
@@ -114,7 +114,7 @@ def alarms(hours: float, seeds: list[int], muscles: list[str], **settings: int) 
             cycles = sorted(reported[k] for _, reported in runs)
             late.append(f"{name}: {np.median(cycles):g} ({', '.join(f'{c:g}' for c in cycles)})")
         say(
-            f"{muscle}: false alarms {[found for found, _ in runs]} by seed; told after so many cycles, median (each): {'; '.join(late)}"
+            f"{muscle}: false alarms {[found for found, _ in runs]} by seed; reported after (cycles), median (each): {'; '.join(late)}"
         )
 
 
@@ -154,7 +154,7 @@ def main() -> None:
     given = parser.parse_args()
     if "drift" in given.only:
         say(
-            f"drift: {given.hours:g} h of steady walking a muscle and seed; then changes at minute 5, told within 57 cycles"
+            f"drift: {given.hours:g} h of steady walking a muscle and seed; then changes at minute 5, reported within 57 cycles"
         )
         alarms(given.hours, given.seeds, given.muscles)
     if "neighbours" in given.only:

@@ -73,7 +73,7 @@ def main() -> None:
         "as segmented": lambda: ours,
         "fixed windows, 1 s": lambda: cut(take, np.arange(0, len(take.poses), int(RATE))),
         "annotated actions": lambda: labelled(take),
-        "aligned clusters, told how many": lambda: aligned(tree, take),
+        "aligned clusters, known number": lambda: aligned(tree, take),
         "KernelCPD, as many cuts": lambda: cut(take, kernel_cpd(tree, take, len(ours.spans) - 1)),
     }
     rows = []
@@ -282,7 +282,7 @@ def labelled(take: Take) -> Take:
 
 
 def aligned(tree: JointTree, take: Take) -> Take:
-    """A take cut by aligned cluster analysis at 10 Hz, told the number of annotated actions; segments last 0.4 to 4 s."""
+    """A take cut by aligned cluster analysis at 10 Hz, with the number of annotated actions; segments last 0.4 to 4 s."""
     joints = joints_of(tree, take.poses)[1]
     found = aligned_clusters((joints - joints[:, :1]).reshape(len(joints), -1)[::3], ACTIONS, 4, 40)
     made = cut(take, found.starts * 3)
@@ -290,7 +290,7 @@ def aligned(tree: JointTree, take: Take) -> Take:
 
 
 def aligned_runs() -> str:
-    """How aligned cluster analysis cuts the four channels of CMU 86_03 at 10 Hz, told that there are seven actions."""
+    """How aligned cluster analysis cuts the four channels of CMU 86_03 at 10 Hz, for seven actions."""
     with np.load(Path(os.environ["KINEGRAPH_DATA"]) / "segmentation/cmu86_4ch/86_03.npz") as z:
         angles = np.unwrap(np.deg2rad(z["angles_deg"].astype(float)), axis=0)[::12]
         run = z["label"][::12] == z["label_names"].tolist().index("run")
@@ -304,7 +304,7 @@ def aligned_runs() -> str:
 
 
 def kernel_cpd(tree: JointTree, take: Take, cuts: int) -> Times:
-    """Where ruptures' KernelCPD cuts, told how often."""
+    """Cuts of ruptures' KernelCPD for a known number."""
     import ruptures  # type: ignore[import-not-found]
 
     joints = joints_of(tree, take.poses)[1]

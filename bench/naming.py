@@ -54,7 +54,7 @@ def named(model: Taught, done: Shown) -> list[tuple[str, str]]:
 
 
 def compare(shown: Shown, radius: float, done: Shown) -> list[str]:
-    """Right, wrong and unknown of the repetitions whose exercise was shown; unknown of those whose exercise was left out."""
+    """Right, wrong and unknown of the repetitions with a shown exercise; unknown of those with an exercise left out."""
     both = sorted(set(shown) & set(done))
     names = named(taught([(name, shown[name]) for name in shown], radius), {name: done[name] for name in both})
     right = sum(name == called for name, called in names)

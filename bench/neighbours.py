@@ -131,7 +131,7 @@ class Tail:
 
 
 class Hnsw:
-    """Approximate: a navigable graph, whose oldest frame gives its place to the newest."""
+    """Approximate: a navigable graph; the newest frame replaces the oldest."""
 
     name = "hnswlib (approximate)"
 
@@ -268,7 +268,7 @@ def measure(budget_s: float, *, quick: bool) -> Section:
     notes.append(
         f"Microseconds in the thread's own time less that of an empty step, median / p99; {platform.machine()}, "
         f"Python {platform.python_version()}; load average at the end {os.getloadavg()[0]:.1f}. Undisturbed: p99 / median without the "
-        f"frames in which the system took the core away for other work, and the {COLD - 1} after each, whose caches are cold."
+        f"frames in which the system took the core away for other work, and the {COLD - 1} after each, with cold caches."
     )
     return Section("An insertion and a query for the 32 nearest", head, lines, notes, goals(made))
 

@@ -3,7 +3,7 @@
     python -m bench.page
 
 A board of 16 channels at 2000 Hz in 10-sample chunks, its envelope, and an operator that notes how old samples are there; the
-session is a process of its own; the client whose messages are timed is a headless WebSocket client in this one, those beside it are in
+session is a process of its own; the client with timed messages is a headless WebSocket client in this one, those beside it are in
 another of low priority, for people look from machines of their own. Rounds without a page (twice: what these differ by is noise), with
 one client, five, twenty, one that reads nothing, and a server that is killed every second take turns; so do timeflux_ui and the Foxglove
 SDK's server, where they install. Processor time is of the session's process and of the server's, by their own clocks. `--write` puts it
@@ -26,7 +26,7 @@ from bench.report import Goal, Section, marks, publish, short, whole
 
 KINDS: dict[str, dict[str, Any]] = {
     "no page": {"page": False, "clients": 0},
-    "a page, nobody looks": {"clients": 0},
+    "a page, no client": {"clients": 0},
     "one client": {"clients": 1},
     "five clients": {"clients": 5},
     "twenty clients": {"clients": 20},
@@ -47,7 +47,15 @@ def live(rounds: int, seconds: float) -> Section:
         name: float(np.median([np.percentile(t.graph, 99) / p99 for t, p99 in zip(taken, without_page, strict=True)]))
         for name, taken in turns.items()
     }
-    header = ["", "graph ms p50, p99", "p99 against none", "client ms p50, p99", "updates/s", "session %", "server %"]
+    header = [
+        "",
+        "graph ms p50, p99",
+        "p99 against no page",
+        "client ms p50, p99",
+        "updates/s",
+        "session %",
+        "server %",
+    ]
     rows = [row(name, taken, against[name]) for name, taken in turns.items()]
     noise = apart(float(np.percentile(turn.graph, 99)) for turn in [*turns["no page"], *turns["no page, again"]])
     cost = apart(turn.session for turn in [*turns["no page"], *turns["no page, again"]])
@@ -87,10 +95,10 @@ def promises(turns: dict[str, list[Turn]], against: dict[str, float], noise: flo
         Goal("page: sample to message, p50", float(np.percentile(ages, 50)), 40, "ms"),
         Goal("page: sample to message, p99", float(np.percentile(ages, 99)), 100, "ms"),
         Goal("page: updates", float(np.median([t.updates for t in one])), 29.0, "/s", least=True),
-        Goal("page: session's processor time with one client, against none", ratio, 1.1, "times"),
-        Goal("page: graph's p99 latency with one client, against none", against["one client"], 1.1, "times"),
+        Goal("page: session's processor time with one client, against no page", ratio, 1.1, "times"),
+        Goal("page: graph's p99 latency with one client, against no page", against["one client"], 1.1, "times"),
         *(
-            Goal(f"page: graph's p99 latency, {name}, against none", against[name], max(1.1, noise), "times")
+            Goal(f"page: graph's p99 latency, {name}, against no page", against[name], max(1.1, noise), "times")
             for name in harmless
         ),
         Goal("page: server, one client", 100 * float(np.median([t.server for t in one])), 10, "% of a core"),

@@ -78,7 +78,7 @@ def watch(url: str, turn: Turn, kind: str, stop: threading.Event) -> None:
 
 
 def stall(url: str, stop: threading.Event) -> None:
-    """See everything, and read none of it."""
+    """Subscribe to everything, and read nothing."""
     with connect(url, max_size=None, max_queue=1, compression=None, ping_interval=None) as client:
         looks(client, 0)
         stop.wait()

@@ -63,7 +63,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     tree, motion = sequences(parser.parse_args().folder)
     print(
-        "noise mm | said to stand, % of truly | slides then, cm: mean, max | released | leaps then, cm: max | "
+        "noise mm | reported as standing, % of truly | slides then, cm: mean, max | released | leaps then, cm: max | "
         "slides where truly, cm: mean, p95"
     )
     for noise in NOISES_M:

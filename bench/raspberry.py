@@ -91,7 +91,7 @@ class ArrivalsState:
 
 
 @dataclass(slots=True)
-class Told:
+class ArrivalTimes:
     """How old (ms) what came was when it came: since a frame's stamp, or since an epoch's end."""
 
     motion: list[float] = field(default_factory=list)
@@ -99,7 +99,7 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True)
-class Arrivals(Outlet[ArrivalsState, Told]):
+class Arrivals(Outlet[ArrivalsState, ArrivalTimes]):
     """Notes how old every change of depth, and every provisional score, is when it gets here; written at the end."""
 
     inputs: ClassVar[tuple[str, ...]] = ("motion", "epochs")
@@ -108,7 +108,7 @@ class Arrivals(Outlet[ArrivalsState, Told]):
     path: str = param("arrivals.json")
 
     def open(self, specs: Specs) -> Specs:
-        self.set_state(ArrivalsState(), Told())
+        self.set_state(ArrivalsState(), ArrivalTimes())
         return {}
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -157,7 +157,7 @@ def _figures(path: Path) -> dict[str, int]:
 
 @contextmanager
 def limited(share: float) -> Iterator[Group]:
-    """A group that has `share` of a core. Raises OSError where none can be made."""
+    """A group that has `share` of a core. Raises OSError if it cannot be made."""
     name, quota = f"kinegraph-bench-{os.getpid()}", str(round(share * PERIOD_US))
     if (GROUPS / "cgroup.controllers").exists():
         group = Group(GROUPS / name, GROUPS / name)
@@ -185,7 +185,7 @@ class Budget:
     cpu             share of a core afterwards, all processes together
     periods, full   of 100 ms afterwards, and those in which the share was used up
     motion, epochs  ms from a stamp of the change of depth (twice a second) to its arrival, and from an epoch's end to its provisional score
-    lost            chunks that were dropped, and gaps, by the session's own count; -1: it was not told
+    lost            chunks that were dropped, and gaps, by the session's own count; -1: unknown
     code            how kinegraph ended
     """
 

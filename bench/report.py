@@ -36,7 +36,7 @@ class Goal:
 
 @dataclass(slots=True)
 class Section:
-    """A table with a heading and what has to be said about it."""
+    """A table with a heading and notes."""
 
     title: str
     header: list[str] = field(default_factory=list)
@@ -81,7 +81,7 @@ def publish(sections: list[Section], about: str, page: str, begin: str = BEGIN, 
 
 
 def into_page(page: Path, text: str, begin: str = BEGIN, end: str = END) -> None:
-    """Put the report between its marks; at the end, where there are none yet."""
+    """Put the report between its marks; at the end, if the marks are missing."""
     before = page.read_text(encoding="utf-8")
     block = f"{begin}\n{text}\n{end}"
     if begin in before and end in before:

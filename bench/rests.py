@@ -63,7 +63,7 @@ def behind(found: Found, seconds: float) -> Found:
 
 
 def before(folder: Path, *, quick: bool) -> Section:
-    """Stillness before the motion: F1 of boundaries by set, and Kinect recordings whose repetitions are counted within 1."""
+    """Stillness before the motion: F1 of boundaries by set, and Kinect recordings with repetitions counted within 1."""
     f1: dict[str, list[list[float]]] = {}
     for kind, name, pose, truth in poses(folder):
         print(f"{kind}: {name} ...", file=sys.stderr, flush=True)

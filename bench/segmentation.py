@@ -249,7 +249,7 @@ def muscles(path: Path) -> Section:
 
 
 def accuracy(*, quick: bool) -> list[Section]:
-    """All that is measured on recordings. Exits where there are none."""
+    """All that is measured on recordings. Exits without recordings."""
     folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
     if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
         sys.exit("KINEGRAPH_DATA must name a folder of recordings that holds `segmentation`")

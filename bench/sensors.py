@@ -123,7 +123,7 @@ def inertial(folder: Path, most: int = 0) -> Section:
                     f"{certain.sum() / max(1, count.sum()):.0%}",
                 ]
             )  # fmt: skip
-    note = "On the lower back strides or steps count as right. Certain: repetitions of activities whose `certainty` is above 0."
+    note = "On the lower back strides or steps count as right. Certain: repetitions of activities with a `certainty` above 0."
     head = ["worn on", "sensor", "strides counted", "recordings within 2", "certain"]
     return Section("Strides from one inertial sensor", head, rows, [note])
 

@@ -1,4 +1,4 @@
-"""Walking among other actions: are its cycles one cluster that holds nothing else, and whose step is it?"""
+"""Walking among other actions: are its cycles one cluster that holds nothing else, and which leg makes the step?"""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _row(series: Series, mirror: Mirror, path: Path, pose: Array | None = None) 
 
 
 def _label(truth: Truth, onset: int, end: int) -> str:
-    """The action that most of a primitive lies in; none in a transition."""
+    """The action that covers most of a primitive; "" in a transition."""
     shared = np.minimum(truth.end, end / NS) - np.maximum(truth.start, onset / NS)
     k = int(shared.argmax())
     return truth.label[k] if 2 * shared[k] > (end - onset) / NS else ""

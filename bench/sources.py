@@ -58,7 +58,7 @@ SOURCES = {
     "Qualisys, 100 Hz": "devices.qualisys.Qualisys, markers: [ankle, knee]",
     "BrainFlow's synthetic board, 250 Hz": "devices.brainflow.BrainflowBoard, board: SYNTHETIC_BOARD",
 }
-"""By label: a source, or the shipped graph whose first source it is."""
+"""By label: a source, or the shipped graph that begins with it."""
 
 BOARD = """
 import os, pty, select, sys, time, tty
@@ -86,7 +86,7 @@ while True:
             os.write(master, made)
             made = b""
 """
-"""A board whose first channels hold when the packet was made (us), and its number; some packets at a time are written."""
+"""A board with the time of each packet (us) and its number in the first channels; some packets at a time are written."""
 BURST = 4
 """This many packets fall into the 16 ms after which the chip of its dongle hands over what has come, as it is set when it is bought."""
 

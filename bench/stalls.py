@@ -67,7 +67,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=4.0, help="of every run")
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--only", default="", help="variants whose name holds this text")
+    parser.add_argument("--only", default="", help="variants with this text in their name")
     parser.add_argument("--beside", nargs="+", choices=BESIDE, default=BESIDE)
     parser.add_argument("--one", help=argparse.SUPPRESS)
     given = parser.parse_args()

@@ -138,7 +138,7 @@ def picture_actors(path: Path, people: list[Samples], horse: Samples, faces: Arr
 def picture_transfer(
     path: Path, frames: Samples, faces: Array, rows: list[tuple[str, Samples, Samples, Samples]]
 ) -> None:
-    """The gallop, and below it each gait: the dog and the horse, in frames whose right fore leg is alike in each column."""
+    """The gallop, and below it each gait: the dog and the horse, in frames with the same right fore leg in each column."""
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(1 + 2 * len(rows), SHOWN, figsize=(11, 2.0 + 3.2 * len(rows)))

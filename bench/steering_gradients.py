@@ -1,7 +1,7 @@
 """`python -m bench.steering_gradients FOLDER`: a mesh from markers by how its triangles turn and stretch, in frames not trained on.
 
 Of every triangle the rotation's logarithm and the stretch are regressed from the markers, by a Gaussian kernel of its own in which the
-markers near it count more; the vertices are those whose edges fit best (least squares), with the markers as soft constraints. Width,
+markers near it count more; the vertices are those with edges that fit best (least squares), with the markers as soft constraints. Width,
 ridge and how near a marker must be are chosen by leaving out every fourth frame of the training in turn. FOLDER and `--mesh` as for
 `bench.steering`. Nothing of this is in `operators`: a frame takes a sparse solution and a rotation for every triangle.
 """
@@ -73,7 +73,7 @@ class Surface:
         return made
 
     def vertices(self, gradients: Samples, marks: Samples) -> Samples:
-        """Vertices whose triangles have these `gradients` (faces, 3, 3) as nearly as can be, and which are at their `marks` (m, 3)."""
+        """Vertices of triangles with these `gradients` (faces, 3, 3), as nearly as possible, and which are at their `marks` (m, 3)."""
         wanted = np.concatenate([np.einsum("nab,nb->na", gradients, e) for e in self.edges]) * self.weights[:, None]
         return np.asarray(self.solver.solve(self.operator.T @ wanted + self.marks @ marks))
 

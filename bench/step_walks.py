@@ -1,4 +1,4 @@
-"""The step detector on walks whose contacts are annotated: F1 against delay, its constants' neighbours, what steps are called, lengths.
+"""The step detector on walks with annotated contacts: F1 against delay, its constants' neighbours, what steps are called, lengths.
 
 Recordings of `KINEGRAPH_DATA`, lower back; `python -m bench.steps --only detection neighbours lengths`.
 """
@@ -110,13 +110,13 @@ class Score:
     delays: Samples
 
     def f1(self, chosen: Array | slice = slice(None)) -> float:
-        hits, told, true = self.counts[chosen].sum(axis=0)
-        return float(2 * hits / (told + true))
+        hits, reported, true = self.counts[chosen].sum(axis=0)
+        return float(2 * hits / (reported + true))
 
     def __str__(self) -> str:
-        hits, told, true = self.counts.sum(axis=0)
-        shares = f"F1 {self.f1():.4f}  precision {hits / told:.3f}  recall {hits / true:.3f}"
-        return f"{shares}  told after the peak: median {np.median(self.delays):.0f} ms, p95 {np.percentile(self.delays, 95):.0f} ms"
+        hits, reported, true = self.counts.sum(axis=0)
+        shares = f"F1 {self.f1():.4f}  precision {hits / reported:.3f}  recall {hits / true:.3f}"
+        return f"{shares}  reported after the peak: median {np.median(self.delays):.0f} ms, p95 {np.percentile(self.delays, 95):.0f} ms"
 
 
 def scored(rule: Array, cutoff_hz: float = CUTOFF_HZ, order: int = ORDER, late_s: float = LATE_S) -> Score:
@@ -180,7 +180,7 @@ def _with(name: str, value: float) -> Score:
 
 
 LEG_M = 10.0
-"""How far these people walk to the turn, and back from it, by the recordings' protocol; nobody measured single steps."""
+"""How far these people walk to the turn, and back from it, by the recordings' protocol; single steps were not measured."""
 WHERE = ("straight", "turn", "steps beyond the walk", "setting off or stopping", "standing")
 KINDS = ("walk", "turn", "slow", "first")
 
@@ -219,11 +219,11 @@ ACTIVITIES = (STANDING, WALKING, TURNING)
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What people do by the annotations and as told, in s (3, 4: the last is unknown), once with the onsets and once when each was told.
+    """What people do as annotated and as reported, in s (3, 4: the last is unknown), by onset and by time of the report.
 
-    stood   stretches of standing of 1.2 s or more: most of it told, all
-    turns   told within the annotated turn or a second before, all, others
-    after   from the annotated turn's beginning to when it was told, s
+    stood   stretches of standing of 1.2 s or more: most of it reported, all
+    turns   reported within the annotated turn or a second before, all, others
+    after   from the annotated turn's beginning to its report, s
     """
 
     onsets: Samples
@@ -273,10 +273,10 @@ def activity_of(trial: Trial, turn_deg: float, still_s: float, step_deg: float) 
 def activities() -> None:
     """Standing, walking and turning beside the annotations, and the constants' neighbours."""
     found = evaluate()
-    for title, table in (("by onset", found.onsets), ("as it was told", found.live)):
+    for title, table in (("by onset", found.onsets), ("as reported", found.live)):
         for name, row in zip(ACTIVITIES, table, strict=True):
             shares = ", ".join(f"{text} {s:.1f} s" for text, s in zip((*ACTIVITIES, "unknown"), row, strict=True))
-            say(f"{title}, {name}: {row.sum():.1f} s, told to be {shares}")
+            say(f"{title}, {name}: {row.sum():.1f} s, reported as {shares}")
     for name, values, chosen in (
         ("turn_deg", (30.0, 60.0, 90.0), 45.0), ("still_s", (0.9, 1.0, 1.5, 2.0), 1.2), ("step_deg", (10.0, 15.0, 25.0, 30.0), 20.0),
     ):  # fmt: skip
@@ -287,7 +287,7 @@ def activities() -> None:
             say(
                 f"{name} {value:g}{' (chosen)' if value == chosen else ''}: right by time: {shares}; "
                 f"stretches of standing {t.stood[0]} of {t.stood[1]}; turns {t.turns[0]} of {t.turns[1]}, {t.turns[2]} others, "
-                f"told after {np.median(t.after):.2f} s (p95 {np.percentile(t.after, 95):.2f} s)"
+                f"reported after {np.median(t.after):.2f} s (p95 {np.percentile(t.after, 95):.2f} s)"
             )
 
 

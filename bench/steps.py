@@ -104,7 +104,7 @@ def enrolled() -> None:
 
 
 def sites() -> None:
-    """Pocket and wrist, whose contacts nobody annotated: the cadence of the steps beside that of the signal's own period."""
+    """Pocket and wrist, without annotated contacts: the cadence of the steps beside that of the signal's own period."""
     for site, short in (("pocket", "sp"), ("wrist", "sw")):
         ratios, stretches = list[float](), 0
         for _, _, stamps, data, _ in phones(short):

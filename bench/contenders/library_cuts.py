@@ -1,7 +1,7 @@
 """Other libraries' cuts of a recording: `python library_cuts.py FOLDER`, in an environment that has ruptures, claspy and stumpy.
 
 FOLDER holds recordings, each NAME.npz with `x` (n, c) and `cuts`, how many there are. Prints JSON: by method and setting, by recording,
-the frames at which it cuts, or null where it fails. A method that cannot be told a number has `settings` instead. Those that stream are
+the frames at which it cuts, or null where it fails. A method that takes no number has `settings` instead. Those that stream are
 fed frame by frame; ClaSS takes one channel only, and gets the recording's first principal component.
 """
 
@@ -108,7 +108,7 @@ def arcs(channel: Any, m: int) -> Any:
 
 
 def flossed(x: Any, cuts: int, length: float) -> list[int]:
-    """The mean of the channels' corrected arc curves; told how many cuts there are."""
+    """The mean of the channels' corrected arc curves, for a known number of cuts."""
     import stumpy
 
     m, curves = int(length), []
@@ -124,12 +124,12 @@ def flossed(x: Any, cuts: int, length: float) -> list[int]:
 
 
 METHODS: dict[str, tuple[Callable[..., list[int]], list[tuple[float, ...]]]] = {
-    "KernelCPD, told the number": (kernel, [(0.0,)]),
+    "KernelCPD, known number": (kernel, [(0.0,)]),
     "KernelCPD, penalty": (kernel, [(p,) for p in PENALTIES]),
     "PELT, penalty": (pelt, [(p,) for p in PENALTIES]),
-    "ClaSP, told the number": (clasp, [(1.0,)]),
+    "ClaSP, known number": (clasp, [(1.0,)]),
     "ClaSP, learns it": (clasp, [(0.0,)]),
-    "FLUSS, told the number": (flossed, [(m,) for m in LENGTHS]),
+    "FLUSS, known number": (flossed, [(m,) for m in LENGTHS]),
     "ClaSS (streaming ClaSP): length, exponent": (
         streaming_clasp,
         list(product((10, 15, 22, 30), (-25.0, -15.0, -8.0, -4.0, -2.0))),

@@ -102,7 +102,7 @@ class Understood:
         """
         declared_hz = facts.pop("rate_hz", None)
         if bad := np.flatnonzero(~np.isfinite(seconds) | (np.abs(seconds) > 4e9)).tolist():
-            raise RecordingError(f"{self.path}: line {line + bad[0]}: there is no time here")
+            raise RecordingError(f"{self.path}: line {line + bad[0]}: the time is missing or not a number")
         time = np.round(seconds * NS).astype(np.int64)
         check_order(time, f"{self.path}: line", line, repeated=asked.repeated)
         middle = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0

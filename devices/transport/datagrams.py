@@ -51,7 +51,7 @@ class UdpTransport(ClosesAtExit):
                 if error.errno == errno.EADDRINUSE
                 else error.strerror or error
             )
-            raise DeviceError(f"{address} cannot be listened at: {why}") from None
+            raise DeviceError(f"{address} cannot be bound: {why}") from None
         with suppress(OSError):
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
         self._socket.setblocking(False)

@@ -1,4 +1,4 @@
-"""Declared frames as UDP datagrams: packed by another program, lost and doubled by the network, and what cannot be listened at."""
+"""Declared frames as UDP datagrams: packed by another program, lost and doubled by the network, and addresses that cannot be bound."""
 
 from __future__ import annotations
 

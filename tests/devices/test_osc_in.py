@@ -126,7 +126,7 @@ def test_a_port_that_is_taken_is_told() -> None:
         other.bind(("127.0.0.1", 0))
         with reading(inlet(port=other.getsockname()[1])) as feed:
             wait_for(lambda: feed.error is not None)
-    assert isinstance(feed.error, DeviceError) and "cannot be listened at" in str(feed.error)
+    assert isinstance(feed.error, DeviceError) and "cannot be bound" in str(feed.error)
 
 
 def test_zeromq_messages_are_declared_as_frames_are() -> None:

@@ -141,9 +141,9 @@ def test_a_node_that_does_not_come_back_is_named_and_left(node: str, options: st
     goes_on = (
         node == "Out" or "worker" in options
     )  # the rest of the graph does, so that nothing is wrong until it shall end
-    text = "" if goes_on else said_until(process, "node hangs")
+    text = "" if goes_on else said_until(process, "node does not return")
     process.send_signal(signal.SIGINT)
-    text += said_until(process, "node hangs") if not text else ""
+    text += said_until(process, "node does not return") if not text else ""
     assert "node=stuck" in text and "Ctrl-C" in text
     process.send_signal(signal.SIGTERM)
     ended = process.communicate(timeout=60)[1]
@@ -152,14 +152,14 @@ def test_a_node_that_does_not_come_back_is_named_and_left(node: str, options: st
     with Recording.open(tmp_path / "s") as recording:
         assert recording.finished and recording.streams["board.emg"].samples > 500
         kinds = [entry["kind"] for entry in recording.log]
-    assert kinds.count("node hangs") == 1 and "session failed" in kinds
+    assert kinds.count("node does not return") == 1 and "session failed" in kinds
 
 
 def test_signals_are_heard_while_the_main_thread_is_in_a_library(tmp_path: Path) -> None:
     process = started(tmp_path, "Node", "how: in_a_library")
     wait_for((tmp_path / "there").exists)
     process.send_signal(signal.SIGTERM)
-    said_until(process, "node hangs")
+    said_until(process, "node does not return")
     process.send_signal(signal.SIGTERM)
     ended = process.communicate(timeout=60)[1]
     assert process.returncode == 4 and "node 'stuck': did not come back for" in ended, ended

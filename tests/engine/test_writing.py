@@ -57,7 +57,7 @@ def test_a_report_that_is_being_written_is_called_so_once(file: str, expected: s
 @pytest.mark.parametrize("is_outlet", [True, False])
 def test_a_call_on_data_that_lasts_is_reported_once(is_outlet: bool) -> None:
     session = Asked(call(" at sample time 2026"), is_outlet=is_outlet)
-    assert looked_at(session) == [] and session.reports == ["node hangs"]
+    assert looked_at(session) == [] and session.reports == ["node does not return"]
 
 
 def test_an_operator_that_closes_does_not_hang() -> None:

@@ -87,10 +87,10 @@ class Facts:
         """Raises ValueError or TypeError where a value cannot be."""
         lists = (self.breaks, self.switched, self.exits, self.settings, self.versions)
         if not all(isinstance(part, list) for part in lists) or not isinstance(self.session, dict):
-            raise TypeError("a list or a mapping is not text")
+            raise TypeError("a field is not the list or mapping that it must be")
         times = [self.begun, *(self.numbers.get(name, self.begun) for name in ("onset", "end"))]
         if any(not abs(time) < 1 << 62 for time in times) or not 0 < self.epoch_s < 86400:
-            raise ValueError("a time or a length cannot be")
+            raise ValueError("a time or a length is out of range")
         if self.numbers and not {"se", "end"} <= self.numbers.keys():
             raise ValueError("its numbers are not whole")
         float(self.numbers.get("se") or 0), float(self.numbers.get("tst") or 0), zone_of(self.timezone)

@@ -160,7 +160,7 @@ class Ending:
             return
         now = session.clock.now()
         session.log.report(
-            "node hangs", node=call.node, since=utc(now - int(call.lasts_s * NS)), given=call.where.strip(),
+            "node does not return", node=call.node, since=utc(now - int(call.lasts_s * NS)), given=call.where.strip(),
             hint=f"{'another' if self._asked else 'a second'} Ctrl-C or SIGTERM ends the session without it",
         )  # fmt: skip
 
