@@ -24,9 +24,10 @@ DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
 
 
 def kinegraph(*arguments):
-    with pytest.raises(SystemExit) as ended:
+    try:
         call_command(*arguments)
-    assert not ended.value.code
+    except SystemExit as ended:
+        assert not ended.code
 
 
 SEGMENT = ["count_repetitions", "segment_emg", "segment_emg_acc", "segment_imu", "segment_kinect", "segment_mocap"]
