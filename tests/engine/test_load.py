@@ -171,7 +171,7 @@ NODE_ERRORS = [
     ("a: {use: nowhere.to.be.Found, from: board}", 4, ["there is no module 'nowhere'"]),
     ("a: {use: graph_parts.Broken, from: board}", 4, ["ZeroDivisionError: division by zero", "graph_parts.py, line"]),
     ("a: {use: graph_parts.Broken, from: board, fault: outputs}", 4, ["declares the outputs ['out']", "['other']"]),
-    ("a: {use: graph_parts.Broken, from: board, fault: state}", 4, ["must call hold"]),
+    ("a: {use: graph_parts.Broken, from: board, fault: state}", 4, ["must call set_state"]),
     ("a: {use: graph_parts.Greedy, from: board}", 4, ["has a parameter 'queue'", "must be renamed"]),
     (
         "a: {use: graph_parts.Shadow, from: board}",
