@@ -61,7 +61,7 @@ class EpochSlots:
     far_counts: Samples
 
     @staticmethod
-    def none(slots: int, k: int) -> EpochSlots:
+    def empty(slots: int, k: int) -> EpochSlots:
         return EpochSlots(*(np.zeros((slots, k)) for _ in range(4)))
 
     def averages(self) -> tuple[Samples, Samples]:
@@ -77,8 +77,8 @@ class EpochSlots:
 @dataclass(slots=True)
 class ActivityState:
     """
-    begin           start of the open epoch (ns); NEVER: none. silent: how many epochs without any frame have gone by
-    expected        how many frames an epoch should have
+    begin           start of the open epoch (ns); NEVER before the first. silent: number of past epochs without a frame
+    expected        number of frames expected in an epoch
     sleepers        where they are, and what is known of the noise
     lost            what the next emission says is missing before it
     """
@@ -99,7 +99,7 @@ class Activity(Operator[ActivityState]):
 
     out     (sleepers,) float64: share of the time seen with movement; 0 below `least_s` of movement; 1 where the sleeper was out of bed
             throughout (being up is being awake); NaN where less than `least_seen` was seen, noise is not known yet, or, with `bed`
-            connected, nobody knows whether anybody is in bed. Stamped with the epoch's start; goes straight into
+            connected, the bed's state is unknown. Stamped with the epoch's start; goes straight into
             operators.sleep.scorer.SleepScorer
     epochs  per epoch and sleeper: onset, end; moved_s: time with movement; seen: share of the frames; bed: in, out or unknown, at its
             end; crosstalk: share of the movement during which another sleeper's region moved at least `crosstalk_ratio` times more, so
@@ -131,7 +131,7 @@ class Activity(Operator[ActivityState]):
     smooth_s: float = param(0.5, above=0.0, help="movement is judged on averages of this length")
     sigmas: float = param(6.0, above=0.0, help="how far above the noise movement begins: lower is more sensitive")
     least_rise: float = param(0.05, least=0.0, help="and how far at least, as a share of the noise")
-    least_s: float = param(1.0, least=0.0, help="less movement in an epoch is none")
+    least_s: float = param(1.0, least=0.0, help="less movement in an epoch counts as 0")
     least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the frames that must have been seen")
     crosstalk_ratio: float = param(3.0, above=1.0, help="how much stronger another's movement must be to be suspected")
     reset_gap_s: float = reset_gap(43_200.0, "a longer silence is not filled with unknown epochs")
@@ -160,8 +160,8 @@ class Activity(Operator[ActivityState]):
         )
         self.set_state(
             ActivityState(
-                SleeperActivity.none(list(spec.channels), limits, -(-epoch_ns // slots)), epoch_ns, NEVER, 0,
-                int(self.reset_gap_s * NS) // epoch_ns, self.epoch_s * rate_hz, EpochSlots.none(slots, len(spec.channels)), 0,
+                SleeperActivity.unknown(list(spec.channels), limits, -(-epoch_ns // slots)), epoch_ns, NEVER, 0,
+                int(self.reset_gap_s * NS) // epoch_ns, self.epoch_s * rate_hz, EpochSlots.empty(slots, len(spec.channels)), 0,
             ),
             delay_s=self.epoch_s,
             decision_s={"epochs": 1 / rate_hz},

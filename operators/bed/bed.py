@@ -1,4 +1,4 @@
-"""Where the bed is, and which part of it is whose: set by hand, or found as the plateau above the floor."""
+"""Finds the bed as the plateau above the floor, or takes regions set by hand, and shares it among the sleepers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LARGE = 20
 WIDE = 1.5
 """Only in a bed that looks this many times wider than long do sleepers lie along the picture's rows."""
 
-Told: TypeAlias = list[tuple[int, str, int, int, int, int, bool]]
+Regions: TypeAlias = list[tuple[int, str, int, int, int, int, bool]]
 
 log = structlog.get_logger(__name__)
 
@@ -39,15 +39,15 @@ class BedState:
     """
     block         pixels
     sums, counts  (rows, columns)  mean depths of blocks since `begun` (ns), and how many
-    told          whether the regions are out; tries: how often none was found
-    shift         (2,) how far the picture has gone down and to the right since the regions were set (pixels); NaN: nobody knows
+    emitted       whether the regions were emitted; tries: number of failed searches
+    shift         (2,) how far the picture has gone down and to the right since the regions were set (pixels); NaN: unknown
     """
 
     block: int
     sums: Samples
     counts: Times
     begun: int
-    told: bool
+    emitted: bool
     tries: int
     shift: Samples
 
@@ -60,8 +60,8 @@ class BedRegion(Operator[BedState]):
     from `lowest_mm` to `highest_mm` above the floor, if it covers `least_share` of the frame and most of its own rectangle; less a block
     at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. Several sleepers
     share it side by side, in the order of their names from the left; from the top, where it looks half as wide again as it is long, for
-    then the camera hangs beside it. That suits a camera that looks down on a bed and some floor; anything else has to be set. While none
-    is found nothing is reported, and it is looked for again.
+    then the camera hangs beside it. That suits a camera that looks down on a bed and some floor; anything else has to be set. Until one
+    is found, it reports nothing and keeps searching.
 
     When the camera was moved (`view`, of operators.bed.frames.view.View), a region without rows says that it is not known. One that was
     found
@@ -102,14 +102,14 @@ class BedRegion(Operator[BedState]):
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state
-        made: Told = []
+        made: Regions = []
         if port == "view":
             for stamp, event in zip(chunk.time.tolist(), chunk.data, strict=True):
                 if event["what"] == "moved":
                     made += self._moved(stamp, float(event["down"]), float(event["right"]))
-        elif len(chunk.time) and not s.told:
+        elif len(chunk.time) and not s.emitted:
             if self.regions:
-                s.told = True
+                s.emitted = True
                 made = self._set(int(chunk.time[0]))
             else:
                 made = self._look(chunk)
@@ -133,24 +133,24 @@ class BedRegion(Operator[BedState]):
             Case(cls(regions=((0, 0, 40, 40),)), inputs, least=1),
         ]
 
-    def _moved(self, stamp: int, down: float, right: float) -> Told:
-        """The picture has jumped: where the regions are now, or that nobody knows."""
+    def _moved(self, stamp: int, down: float, right: float) -> Regions:
+        """The regions after the picture jumped; closed where the shift is unknown."""
         s = self.state
         s.sums[:], s.counts[:], s.begun = 0.0, 0, NEVER
         s.shift += down, right
-        gone: Told = [(stamp, name, 0, 0, 0, 0, False) for name in self.sleepers]
+        gone: Regions = [(stamp, name, 0, 0, 0, 0, False) for name in self.sleepers]
         if not self.regions:
-            s.told = False
+            s.emitted = False
             return gone
         if np.isnan(s.shift).any():
             log.warning("the camera was moved too far to follow: `regions` hold no more; set them again")
             return gone
         return self._set(stamp)
 
-    def _set(self, stamp: int) -> Told:
+    def _set(self, stamp: int) -> Regions:
         """The regions that were set, where the picture is now."""
         s = self.state
-        made: Told = []
+        made: Regions = []
         height, width = (side * s.block for side in s.sums.shape)
         down, right = (round(v) for v in s.shift.tolist())
         for name, (row, column, rows, columns) in zip(self.sleepers, self.regions, strict=True):
@@ -160,7 +160,7 @@ class BedRegion(Operator[BedState]):
             made.append((stamp, name, top, left, bottom - top if there else 0, end - left if there else 0, False))
         return made
 
-    def _look(self, chunk: Chunk) -> Told:
+    def _look(self, chunk: Chunk) -> Regions:
         s = self.state
         for i, time in enumerate(chunk.time.tolist()):
             s.begun = time if s.begun == NEVER else s.begun
@@ -173,7 +173,7 @@ class BedRegion(Operator[BedState]):
                 found = self._found(s.sums / s.counts)
             s.sums[:], s.counts[:], s.begun = 0.0, 0, NEVER
             if found is not None:
-                s.told = True
+                s.emitted = True
                 return [
                     (time, name, *part, True)
                     for name, part in zip(self.sleepers, _shared(found, len(self.sleepers)), strict=True)
@@ -184,7 +184,7 @@ class BedRegion(Operator[BedState]):
         return []
 
     def _found(self, depth: Samples) -> tuple[int, int, int, int] | None:
-        """The bed's rectangle in pixels; None: there is none."""
+        """The bed's rectangle in pixels; None if there is no bed."""
         from scipy.ndimage import label
 
         valid = np.isfinite(depth)

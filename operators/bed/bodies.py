@@ -63,7 +63,7 @@ class Bodies:
         self.alone[k], self.crowd[k], self.two[k] = 0.0, 0, 0
 
     def take(self, k: int, part: tuple[slice, slice], depth: Samples, rise: float) -> None:
-        """Somebody lies in the `part` of a region whose empty depth is not known, `depth` (rows, columns): what comes counts from there on.
+        """Start counting from `depth` (rows, columns) in the `part` of an occupied region with unknown empty depth.
 
         What stands out of the plane in which the bed lay before the camera was moved says whether these are two.
         """

@@ -68,7 +68,7 @@ def vary(x: Samples, first: int, stop: int, out: Samples) -> None:
     """How every cell of x (n, cells) varies from tick `first` to `stop`, into `out` (2, cells): slow variance, greatest step.
 
     Rows are a ring: a tick's row is its number modulo n. Slow variance: the variance, less half the mean square of a step (noise alone
-    has none); NaN where less than half was measured.
+    would give 0); NaN where less than half was measured.
     """
     n = x.shape[0]
     for c in range(x.shape[1]):
@@ -97,7 +97,7 @@ def vary(x: Samples, first: int, stop: int, out: Samples) -> None:
 def peak(power: Samples, rates: Samples) -> tuple[float, float]:
     """The rate (per minute) at which the power (f,) is highest, between the grid's rates, and how much of all power is about it.
 
-    A peak at either end of the rates is none: (NaN, 0).
+    A peak at either end of the rates does not count: (NaN, 0).
     """
     total = float(power.sum())
     top = int(power.argmax())

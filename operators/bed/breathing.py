@@ -49,8 +49,8 @@ class BreathingState:
     regions    (k, 4)  in blocks; no rows: not known
     size       of a cell in blocks; across: cells in a row of the frame
     ticks      (n, cells)  the newest depths (mm) of all cells, tick by tick, a ring; NaN: not measured
-    tick       number of the open tick since 1970; NEVER: none. sums, counts (cells,): of it
-    epoch      start of the open epoch (ns); NEVER: none
+    tick       number of the open tick since 1970; NEVER before the first. sums, counts (cells,): of it
+    epoch      start of the open epoch (ns); NEVER before the first
     there, changed  (k,) whether each sleeper is in bed (with `bed`; else always), and when that became so or ended (ns)
     spoilt     (k,)  whether a sleeper was out of bed at any time in the open epoch
     epochs, known  (k,)  epochs in bed of this night, and those with a rate
@@ -273,7 +273,7 @@ def _tick_ns(rate_hz: float) -> int:
 
 
 def _cells(region: Times, size: int, count: int, across: int) -> Times:
-    """The numbers of the cells whose middle lies in a region of blocks; `across` cells in a row of the frame."""
+    """Indices of the cells with their centre in a region of blocks; `across` cells in a row of the frame."""
     row, column, rows, columns = (int(v) for v in region)
     middles = (np.arange(count) // across * size + size / 2, np.arange(count) % across * size + size / 2)
     inside = (middles[0] >= row) & (middles[0] < row + rows) & (middles[1] >= column) & (middles[1] < column + columns)

@@ -19,7 +19,7 @@ HIGHEST_MM = 400.0
 
 
 def mattress(depth: Samples, near: float) -> Samples:
-    """The depths (rows, columns) of the plane that holds most blocks of `depth` to within `near` mm, and few below; all NaN: there is none.
+    """Depths (rows, columns) of the plane with most blocks of `depth` within `near` mm, and few below; all NaN if there is no such plane.
 
     A plane in the room is one of the picture in 1 / depth, however the camera is tilted. The tries are the same every time.
     """

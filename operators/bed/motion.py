@@ -30,13 +30,13 @@ def map_of(shape: tuple[int, int]) -> np.dtype[Any]:
 @dataclass(slots=True)
 class MotionState:
     """
-    every    how many frames a look is after the one before; step_ns: that time; taken: when the newest one was (ns); NEVER: none yet
-    last     (h, w)  the frame that was looked at last; time: when, NEVER: there is none to compare with
+    every    frames between two looks; step_ns: that time; taken: when the newest look was (ns), NEVER before the first
+    last     (h, w)  the frame of the last look; time: its stamp, NEVER if there is nothing to compare with
     older    (h, w)  the one before; known: whether it is exactly one look before
     regions  (k, 4)  per sleeper: row, column, rows, columns; no rows: not known. edges: the columns where they begin and end
     sums, seen (h, w)  the open epoch's change of every pixel (mm), and how often it was measured
-    begin    start of the open epoch (ns); NEVER: none is open. frames: how many were compared in it
-    gap_ns   looks farther apart are not compared; gone: what the input has said is missing since the last one
+    begin    start of the open epoch (ns); NEVER if closed. frames: how many were compared in it
+    gap_ns   looks farther apart are not compared; gone: samples that the input reported missing since the last one
     cell     side of a cell of the map, in pixels
     lost     what the next map says is missing before it
     """
@@ -205,7 +205,7 @@ class Motion(Operator[MotionState]):
         return s.every == 1 or s.taken == NEVER or time - s.taken >= s.step_ns - s.step_ns // (2 * s.every)
 
     def _missing(self, time: int) -> int:
-        """How many looks are missing before the one at `time`; -1: nobody knows, or none, but it comes late."""
+        """Number of looks missing before the one at `time`; -1 if unknown, or if it is only late."""
         s = self.state
         gone, s.gone = s.gone, 0
         if s.every == 1 or not gone:

@@ -24,8 +24,8 @@ class NightMapState:
     onset, end     of what they cover (ns); NEVER: nothing yet
     there          names of those in bed
     plain          whether nothing is taken off
-    judged, still  the end of the newest epoch that is known from `seen` (ns), and whether nobody moved in it
-    lost           what the next map says is missing before it
+    judged, still  the end of the newest epoch that is known from `seen` (ns), and whether it was still
+    lost           how many samples are missing before the next map
     """
 
     total: Samples
@@ -43,14 +43,14 @@ class NightMapState:
 class NightMap(Operator[NightMapState]):
     """The epochs' motion maps in (`map`), one map per event of `nights` out: the mean change from look to look (mm) of every cell.
 
-    With `seen` (the output epochs of operators.bed.activity.Activity) the mean over the epochs in which nobody moved is taken off, cell
-    by cell: what the frames' own noise does, and breath. Without it the edges of the bed outshine whoever lies in it, for there a pixel
-    that flickers tells now of the bed, now of the floor. (The thesis has no such correction.) What is left is movement, and around 0
-    where there was none, also just below; NaN throughout where no epoch was still.
+    With `seen` (the output epochs of operators.bed.activity.Activity) it subtracts the mean of the still epochs, cell
+    by cell: the frames' own noise, and breath. Without it the edges of the bed outshine whoever lies in it, for there a pixel
+    that flickers shows now the bed, now the floor. (The thesis has no such correction.) What is left is movement, and around 0
+    where nothing moved, also just below; NaN throughout where no epoch was still.
 
-    It covers every epoch since the night before, with `bed` connected only those at whose end somebody is in bed; NaN where nothing was
+    It covers every epoch since the night before, with `bed` connected only those that end with somebody in bed; NaN where nothing was
     measured. `onset`, `end`: of the first and last epoch that it covers; `frames`: how many frames, at most of all cells. A night without
-    any epoch gives none. Sums are of 64 bits: nothing overflows.
+    any epoch emits nothing. Sums are of 64 bits: nothing overflows.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("bed", "seen", "map", "nights")
@@ -138,5 +138,7 @@ def _check_epochs(seen: StreamSpec, maps: StreamSpec) -> None:
     if seen.dtype != EPOCH_SEEN:
         raise InputError("seen", seen.describe(), "the output epochs of operators.bed.activity.Activity")
     if seen.meta.get("epoch_s") != maps.meta.get("epoch_s"):
-        told = f"epochs of {seen.meta.get('epoch_s')} s"
-        raise InputError("seen", told, f"epochs as long as the maps': epoch_s {maps.meta.get('epoch_s')} in both nodes")
+        found = f"epochs of {seen.meta.get('epoch_s')} s"
+        raise InputError(
+            "seen", found, f"epochs as long as the maps': epoch_s {maps.meta.get('epoch_s')} in both nodes"
+        )

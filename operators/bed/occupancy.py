@@ -45,13 +45,13 @@ class OccupancyLimits:
 @dataclass(slots=True)
 class Occupancy:
     """
-    state, wanted (k,)          UNKNOWN, IN or OUT; what the depth has said since `since` (k,) ns; `seen` (k,) ns: when it was last seen
+    state, wanted (k,)          UNKNOWN, IN or OUT; what the depth has shown since `since` (k,) ns; `seen` (k,) ns: when it was last seen
     still      (k,)             for how many stretches nothing has moved
     lay        (k,)             whether what may be a body stood out of the mattress in the newest stretch, while the bed was not known
     doubt      (k,)             why the depth is not believed (of DOUBTS); alive: for how many stretches something has moved; was_in: in
                                 bed when the camera was moved
     bodies, visitor             one in a region, or two; and whether something small walks about
-    told       (k,)             whether the newest event says `body`
+    reported   (k,)             whether the newest event says `body`
     """
 
     sleepers: list[str]
@@ -68,16 +68,16 @@ class Occupancy:
     was_in: Times
     bodies: Bodies
     visitor: RoamingBody
-    told: Times
+    reported: Times
 
     @staticmethod
-    def none(sleepers: tuple[str, ...], shape: tuple[int, ...], limits: OccupancyLimits) -> Occupancy:
-        """Nobody knows of anybody yet. `shape`: (rows, columns) of the frames in blocks."""
+    def unknown(sleepers: tuple[str, ...], shape: tuple[int, ...], limits: OccupancyLimits) -> Occupancy:
+        """The state before the first frame: unknown for all sleepers. `shape`: (rows, columns) of the frames in blocks."""
         k = len(sleepers)
-        state, wanted, still, lay, doubt, alive, was_in, told = (np.zeros(k, np.int64) for _ in range(8))
+        state, wanted, still, lay, doubt, alive, was_in, reported = (np.zeros(k, np.int64) for _ in range(8))
         return Occupancy(
             list(sleepers), limits, BedDepths.of(k, shape), state, wanted, np.full(k, NEVER), np.full(k, NEVER), still, lay, doubt, alive,
-            was_in, Bodies.of(k, shape), RoamingBody.of(k, shape), told,
+            was_in, Bodies.of(k, shape), RoamingBody.of(k, shape), reported,
         )  # fmt: skip
 
     def end_second(self, end: int, events: Rows) -> None:
@@ -108,7 +108,7 @@ class Occupancy:
                 self.doubt[k] = 0
 
     def forget_unseen(self, until: int, events: Rows) -> None:
-        """Who has not been seen for too long is nobody knows where."""
+        """Report sleepers as unknown who were not seen for too long."""
         unseen_ns = round(self.limits.unseen_s * NS)
         due = [(int(self.seen[k]) + unseen_ns, k) for k in range(len(self.sleepers)) if self.state[k] != UNKNOWN]
         for stamp, k in sorted(d for d in due if d[0] <= until):
@@ -155,10 +155,10 @@ class Occupancy:
         self.visitor.look(k, self.beds.part(k), above, rise)
         suspected = self.bodies.suspected(k)
         body = suspected or self.visitor.here(k)
-        if body != bool(self.told[k]):
+        if body != bool(self.reported[k]):
             for_s = SUSPECT_S if suspected else CROWD_S if changed else 1
             events.append((end - 1, self._event(k, end - for_s * NS, "body" if body else "")))
-            self.told[k] = int(body)
+            self.reported[k] = int(body)
 
     def _times(self, k: int) -> float:
         """How many times the share of one body is raised now; NaN: not known."""
@@ -177,7 +177,7 @@ class Occupancy:
         if self.doubt[k] == DARK:
             return
         lies = not known and beds.lies(k, limits.rise_mm, limits.least_share)
-        self.still[k] *= lies or not self.lay[k]  # what stood out has gone, though nobody saw it go
+        self.still[k] *= lies or not self.lay[k]  # what was raised has gone unseen
         self.lay[k] = int(lies)
         if moving > max(2.0, ALIVE * beds.regions[k, 2] * beds.regions[k, 3]):
             self._moves(k, known, end, events)
@@ -221,10 +221,10 @@ class Occupancy:
     ) -> None:
         """Be in another state; `keep`: how long it has been still goes on counting."""
         if state == IN and self.state[k] == UNKNOWN:
-            # a second one is still there, or came while nobody looked: known at once
+            # a second one is still there, or came unseen: known at once
             self.bodies.two[k] = self.bodies.two[k] or self._times(k) >= CROWD
             why = "body" if self.bodies.two[k] else ""
-        self.told[k] = int(why == "body")
+        self.reported[k] = int(why == "body")
         self.state[k] = self.wanted[k] = state
         self.still[k] = self.still[k] if keep else 0
         self.alive[k] = 0

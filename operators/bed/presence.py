@@ -37,7 +37,7 @@ class Presence(Operator[PresenceState]):
     height  (sleepers,) float64, mm, once a second: how high the region is above the empty bed, on average; NaN: not known
 
     In bed: a share of `least_share` of the region is more than `rise_mm` above the empty bed; out: less than 0.7 of that share.
-    The empty bed is learned where nothing moves for `learn_s`, breath included, and nobody is known to be in bed; and learned again
+    The empty bed is learned where nothing moves for `learn_s`, breath included, and the bed is not known to be occupied; and learned again
     whenever that is so again (a blanket lies differently, the camera has sunk). Nothing moves: hardly any block of the region varies,
     second by second, by more than `still_mm` and three times what blocks of the frame vary by on average.
     Before the empty bed is known, movement in the region is somebody in bed, and 5 min without any is an empty bed, if nothing that may
@@ -48,9 +48,9 @@ class Presence(Operator[PresenceState]):
     What cannot be judged is `unknown`, and `why` says so: no breath and no movement for `unsure_min`, though the bed is high (a heap that
     was left behind, or breath that is not seen), or from the start, where the bed was not seen empty and something lies across the middle
     of its length: then movement, or a flat bed, decides; movement for `odd_min` without a break where
-    nobody lies (a region that is too large or elsewhere); the camera was moved or sees nothing (`view`). After a move the empty bed is
+    the bed is empty (a region that is too large or elsewhere); the camera was moved or sees nothing (`view`). After a move the empty bed is
     learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two. So it
-    is said after 3 s already, and taken back where it does not last. Within these five minutes the seconds so far count, and how high
+    is reported after 3 s already, and withdrawn where it does not last. Within these five minutes the seconds so far count, and how high
     the region is as well: who sits and then lies down, or pulls a blanket up, stays one; a second body within the first minute is not
     noticed. While the empty bed is not known again, what is raised since the sleeper was seen again counts; who came before that is not
     noticed. `body` also while something small walks about: it is raised apart from the sleeper, on blocks that were flat a moment ago, and
@@ -70,9 +70,7 @@ class Presence(Operator[PresenceState]):
     unsure_min: float = param(
         10.0, least=0.0, help="without movement or breath for this long presence is unknown; 0: never"
     )
-    odd_min: float = param(
-        10.0, least=0.0, help="with movement for this long where nobody lies it is unknown; 0: never"
-    )
+    odd_min: float = param(10.0, least=0.0, help="unknown after this long with movement in an empty region; 0: never")
     unseen_s: float = param(30.0, above=0.0, help="not seen for this long: unknown")
     least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's blocks that must be measured")
 
@@ -87,7 +85,7 @@ class Presence(Operator[PresenceState]):
         )  # fmt: skip
         longest_s = max(limits.vacant_s, limits.unsure_s, limits.odd_s, BLIND_S, CROWD_S, self.hold_s, self.unseen_s)
         self.set_state(
-            PresenceState(block, Occupancy.none(sleepers, spec.shape, limits), np.zeros(2, np.int64)),
+            PresenceState(block, Occupancy.unknown(sleepers, spec.shape, limits), np.zeros(2, np.int64)),
             delay_s=1.0,
             decision_s={"out": longest_s + self.learn_s + 1},
         )

@@ -43,7 +43,7 @@ class SleeperActivity:
     """
     bed, out        (k,) where each sleeper is; whether out of bed since the epoch's beginning
     in_bed, empty   noise while each sleeper is in bed, and while the bed is empty; far_bed: in bed, of the change over twice the time
-    why             (k,) of WHYS: why nobody knows where a sleeper is, or whose movement it is; moved: noise is learned again since a jump
+    why             (k,) of WHYS: why a sleeper's place, or the source of movement, is unknown; moved: noise is learned again since a jump
     crowded         (k,) whether there was a second body at any time in the open epoch
     dark, jumped    whether the view is dark; whether there was darkness or a jump in the open epoch
     """
@@ -63,7 +63,7 @@ class SleeperActivity:
     jumped: bool
 
     @staticmethod
-    def none(sleepers: list[str], limits: ActivityLimits, slot_ns: int) -> SleeperActivity:
+    def unknown(sleepers: list[str], limits: ActivityLimits, slot_ns: int) -> SleeperActivity:
         k = len(sleepers)
         out, why, crowded = np.zeros(k, np.int64), np.zeros(k, np.int64), np.zeros(k, np.int64)
         noise = Noise.of(k), Noise.of(k), Noise.of(k)
@@ -80,7 +80,7 @@ class SleeperActivity:
             self._forget_noise()
 
     def move(self, sleeper: str, state: str, why: str) -> None:
-        """A sleeper is in bed, or out of it, or nobody knows."""
+        """Set whether a sleeper is in bed, out of it, or unknown."""
         if sleeper in self.sleepers:
             k = self.sleepers.index(sleeper)
             self.why[k] = int(np.flatnonzero(why == WHYS)[0]) if why in WHYS else 0
@@ -165,7 +165,7 @@ class SleeperActivity:
         return moved_s, crosstalk, activity, why
 
     def _lit(self, k: int, change: Samples, far: Samples, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of the averages (slots,) in movement are none, but noise that has risen."""
+        """Which of the averages (slots,) in movement are only noise that has risen."""
         if not moving.any() or not self.far_bed.count[k]:
             return np.zeros(len(change), np.bool_)
         n = math.ceil(LIGHT_S * NS / self.slot_ns)
@@ -190,5 +190,5 @@ class SleeperActivity:
             return "camera" if self.moved else "learning"
         if light > 1 - least_seen:
             return "light"
-        whose = bool(self.crowded[k]) or own_s < least_s
-        return "body" if whose and moved_s >= least_s else ""
+        shared = bool(self.crowded[k]) or own_s < least_s
+        return "body" if shared and moved_s >= least_s else ""

@@ -20,7 +20,7 @@ HOLD_S = 15
 
 @kernel
 def apart(raised: Times, label: Times, stack: Times) -> int:
-    """Label what is connected (corners, too) in `raised` (rows, columns; 0 or 1), from 1 on; which label is the largest, 0: none.
+    """Label connected parts (corners count) of `raised` (rows, columns; 0 or 1) from 1 on; returns the largest one's label, 0 if empty.
 
     label (rows, columns), written; stack (rows * columns,), scratch
     """

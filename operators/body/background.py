@@ -30,7 +30,7 @@ AGAIN_S = 0.1
 AT_REST = 0.08
 """In a camera at rest no more of the frame changes within that time: people move in it."""
 MOSTLY = 0.8
-"""Nobody covers this much of the frame: the camera was moved towards something."""
+"""A person never covers this much of the frame: the camera was moved towards something."""
 
 
 @dataclass(slots=True)
@@ -44,11 +44,11 @@ class BackgroundState:
     enough    how many of them make a background, and
     again     whether it is not the first one
     moved     frames in a row that disagree with it enough for the camera to have been moved
-    told      whether the floor was
+    reported  whether the floor was reported
     earlier   (h, w)  the background of the view before, which may come back
     shown     (2, h, w)  what stood before the background lately, and up to a second earlier
     turned    whether the people stand on a floor at the top of the image
-    floors    (2, 4)  the floor's plane, and that of what would be one in an image turned over; NaN: none, or it is known which one is it
+    floors    (2, 4)  the floor's plane, and that of what would be one in an image turned over; NaN: no such plane, or already decided
     """
 
     rate_hz: float
@@ -60,7 +60,7 @@ class BackgroundState:
     enough: int
     again: bool
     moved: int
-    told: bool
+    reported: bool
     earlier: NDArray[np.float32]
     shown: NDArray[np.uint16]
     turned: bool
@@ -147,8 +147,8 @@ class Background(Operator[BackgroundState]):
             if s.frames < s.enough or s.turned:
                 out[i] = 0
                 continue
-            if not s.told:
-                s.told = True
+            if not s.reported:
+                s.reported = True
                 floors += floor_of(s.behind, s.camera, time, upside_down=self.upside_down)
         found = np.array(floors, FLOOR)
         return [
@@ -178,7 +178,7 @@ class Background(Operator[BackgroundState]):
     def _stood_on(self, out: Array) -> None:
         """Of two planes that may be the floor, that is it on which people stand."""
         s = self.state
-        if not (s.told or s.turned):
+        if not (s.reported or s.turned):
             s.floors[:] = floors_of(s.behind, s.camera, upside_down=self.upside_down)
         if s.moved or np.isnan(s.floors[1, 3]):
             return
@@ -187,7 +187,9 @@ class Background(Operator[BackgroundState]):
             s.floors[:] = np.nan
         if wrong and not right:
             s.turned = True
-            log.warning("the depth camera hangs upside down: nobody is seen; turn it, or set upside_down the other way")
+            log.warning(
+                "the depth camera hangs upside down and sees no person; turn it, or set upside_down the other way"
+            )
 
     def _back(self, frame: Array) -> bool:
         """Go back to the background of the view before if a frame shows that."""
@@ -205,7 +207,7 @@ class Background(Operator[BackgroundState]):
         s = self.state
         s.behind[:], s.streak[:], s.front[:] = 0.0, 0, 0.0
         s.frames, s.enough, s.again = 0, max(2, round(AGAIN_S * s.rate_hz)), True
-        s.moved, s.told = 0, False
+        s.moved, s.reported = 0, False
 
     def _settle(self, frame: Array, out: Array) -> None:
         """A new background is complete: the people are cut out of it and given out."""
@@ -213,7 +215,7 @@ class Background(Operator[BackgroundState]):
         old = s.shown[int(s.shown.any(axis=(1, 2)).all())]
         cut, s.turned = people_cut_out(s.behind, s.camera, old, upside_down=self.upside_down)
         if s.turned:
-            log.warning("the depth camera was turned over: nobody is seen until it is turned back")
+            log.warning("the depth camera was turned over: no person is found until it is turned back")
         if cut:
             cut_out(frame, s.behind, s.streak, s.front, self.least_mm, self.least_share, 1 << 30, out)
 

@@ -1,4 +1,4 @@
-"""Which markers of a body can be where they are said to be, by the lengths of the bones between them."""
+"""Checks by the lengths of the bones which markers of a body can be right."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from kinegraph.stream.chunk import Samples
 from kinegraph.stream.kernel import kernel
 
 APART_MM = 120.0
-"""Pixels side by side whose depths differ by more are not one thing, as operators.body.persons.Persons has it."""
+"""Neighbouring pixels that differ by more in depth belong to two things, as operators.body.persons.Persons has it."""
 MOST_THINGS = 256
 HEIGHTS_M, AREAS_M2 = (0.5, 2.4), (0.08, 2.0)
 """The height of what is seen of a person, and its surface across the line of sight."""
@@ -44,7 +44,7 @@ def people_cut_out(
 
     `shown` (h, w) is what stood before the background that was known before. A thing of the new one that is as high and has as much
     surface as one of it, and stands by itself (the floor apart, where one is seen), is taken for it; whatever else there is stays
-    background. Returns how many there were, and whether they stand on a floor at the wrong side of the image: none is cut out then.
+    background. Returns how many there were, and whether they stand on a floor at the wrong side of the image: nothing is cut out then.
     """
     if np.isnan(camera).any():
         return 0, False
@@ -61,7 +61,7 @@ def people_cut_out(
 
 
 def floors_of(behind: NDArray[np.float32], camera: Samples, *, upside_down: bool) -> Samples:
-    """The floor of a background, and what would be one if the image were turned over: (2, 4) normal and height; NaN where there is none."""
+    """The floor of a background, and the one in the image turned over: (2, 4) normal and height; NaN if there is no such plane."""
     planes = np.full((2, 4), np.nan)
     for plane, side in zip(planes, (upside_down, not upside_down), strict=True):
         for floor in floor_of(behind, camera, 0, upside_down=side):
@@ -92,7 +92,7 @@ def _standing(
 def _like(
     before: list[tuple[float, float]], behind: NDArray[np.float32], camera: Samples, above: Samples
 ) -> list[NDArray[np.bool_]]:
-    """The things off the floor that are most like those there were `before`: each one once, none twice."""
+    """The things off the floor that are most like those there were `before`: each one once."""
     rest = np.where(np.abs(above) > 1.5 * NEAR_M, behind, 0.0).clip(0, 65535).astype(np.uint16)
     things = [(mask, size) for mask, size in _things(rest, camera) if _human(size)]
     found = []

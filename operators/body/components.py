@@ -1,4 +1,4 @@
-"""Connected things in a depth image, whose they are, and how much of the image each person fills."""
+"""Finds connected things in a depth image, assigns them to persons, and measures each person's share of the image."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def share_out(
     places: Samples,
     labels: NDArray[np.uint8],
 ) -> None:
-    """Whose pixel it is, into `labels` (h, w): the part's owner's; of several owners' the nearest one's, by the `places` before."""
+    """Writes each pixel's owner into `labels` (h, w): the part's owner; of several, the nearest one by the `places` before."""
     for y in range(parts.shape[0]):
         for x in range(parts.shape[1]):
             k = parts[y, x]
@@ -168,7 +168,7 @@ def only(frame: NDArray[np.uint16], labels: NDArray[np.uint8], who: int, out: ND
 
 @kernel(nogil=True)
 def measure(frame: NDArray[np.uint16], labels: NDArray[np.uint8], out: NDArray[np.int64]) -> None:
-    """What each person fills of `frame` (h, w), into `out` (people + 1, 8), row 0 is nobody's.
+    """Writes what each person fills of `frame` (h, w) into `out` (people + 1, 8); row 0 has no owner.
 
     Pixels, sums of their columns and of their rows, first and last row, first and last column, and twice the median of their depths.
     """

@@ -18,7 +18,7 @@ MEMORY = np.array([0.4, 0.8, 0.8, 0.5, 0.5])
 MOST_ENDS = 6
 """How many ends are searched for: knees and elbows may lie farther out than the head."""
 ORDERS = np.array(list(permutations(range(MOST_ENDS + 1), len(ENDS))))
-"""Every way to give the ends to what was found; the last number: it is none of them."""
+"""Every way to assign the ends to what was found; the last number means no end."""
 ROUND_M, UNLIKE = 0.18, 0.4
 AREAS, HEADS, TIPS = (0.014, 0.019, 0.030, 0.036), (1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)
 """The visible surface within ROUND_M of an end (m2, for 1.75 m), and by how much it rules out a head, a hand or foot: hands and feet show
@@ -26,11 +26,11 @@ AREAS, HEADS, TIPS = (0.014, 0.019, 0.030, 0.036), (1.0, 0.0, 0.0, 1.0), (0.0, 1
 FAR_M = 0.55
 """An end farther from where it is expected is not taken for it."""
 CUT_M = 0.06
-"""An end this near to where the body reaches to the image's border is none: the border cuts the body there."""
+"""An end this near to the image's border is ignored: the border cuts the body there."""
 
 
 def costs(at: Samples, areas: Samples, usual: Samples, before: Samples, fresh: Array, size: float) -> Samples:
-    """What it costs to take an end found for each of ENDS (5, MOST_ENDS + 1), the last column: for none; in m.
+    """Costs (m) of matching each end found with each of ENDS (5, MOST_ENDS + 1); the last column means no end.
 
     at, areas      (n, 3) places, (n,) the surface around them (m2; NaN: not known)
     usual, before  (5, 3) where each of ENDS usually is, and where it was, which counts where that is `fresh` (5,)

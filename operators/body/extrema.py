@@ -91,7 +91,7 @@ class Extrema(Operator[ExtremaState]):
     out         (20, 3)  as of operators.body.markers.Markers: x right, y down, z away from the camera, m; NaN where a marker is not known
     confidence  (20,)    0 to 1
 
-    Head, hands and feet are the points farthest along the body's surface from its middle, told apart by where they were and where they
+    Head, hands and feet are the points farthest along the body's surface from its middle, distinguished by where they were and where they
     usually are; wrists, elbows, ankles and knees lie on the way back from them. What something nearer cuts off, as a raised arm the head,
     is joined by the shortest way across. Shoulders and hips are where they usually are below the head, on the ways from it to the feet,
     across where the body's shape faces. Hands before the trunk are not found, and are missing. Nose, ears and heels always are.
@@ -111,7 +111,7 @@ class Extrema(Operator[ExtremaState]):
             raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 but for one person")
         camera = camera_of(spec)
         if camera is None:
-            raise InputError("in", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
+            raise InputError("in", "a stream of unknown geometry", "one with `camera` in its spec: fx, fy, cx, cy")
         n = len(ENDS)
         self.set_state(
             ExtremaState(np.array(camera), np.zeros(2), np.full((n, 3), np.nan), np.zeros(n, np.int64), np.zeros(3), 0)

@@ -3,7 +3,7 @@
 A small network (1152 numbers, 32 hidden, 2 out) that was trained on 3921 rendered poses of one mesh in 13 motions; of 498
 poses of another mesh it turns 8.6 % round. `python -m bench.facing` trains one of the same kind; the
 script that trained this one is not in this repository, so that these very numbers cannot be made again.
-Source of the idea: none; measured in docs/lab/body.md.
+The idea has no published source; measured in docs/lab/body.md.
 """
 
 from __future__ import annotations

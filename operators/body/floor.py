@@ -15,7 +15,7 @@ UPRIGHT = 0.7
 
 
 def floor_of(behind: NDArray[np.float32], camera: Samples, onset: int, *, upside_down: bool) -> list[Array]:
-    """The floor in a background `behind` (h, w) of depths in mm, as one event; none where there is no such plane.
+    """The floor in a background `behind` (h, w) of depths in mm, as one event; [] if there is no such plane.
 
     Planes through three points each are drawn (the same ones for the same image); of those that are nearly level, the one with most points
     on it and few beneath it is fitted again to its points by least squares.

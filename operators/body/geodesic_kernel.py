@@ -22,7 +22,7 @@ LEAST_PIECE = 12
 
 @kernel(nogil=True)
 def surface_of(depth: NDArray[np.uint16], camera: Samples, step: int, points: Samples) -> int:
-    """Every `step`-th pixel of a person's `depth` (h, w), 0 elsewhere, in space, into `points` (h // step, w // step, 3) m; NaN: nobody.
+    """Every `step`-th pixel of a person's `depth` (h, w), 0 elsewhere, in space, into `points` (h // step, w // step, 3) m; NaN: no person.
 
     Returns how many there are.
     """
@@ -64,7 +64,7 @@ def extrema_of(
 ) -> int:
     """The pixels farthest along the surface, one after the other, into `found` (k,); how many there are.
 
-    points    (h, w, 3)  m, NaN where nobody is; pieces of a few pixels that hang together with nothing are set to NaN
+    points    (h, w, 3)  m, NaN where no person is; small isolated pieces are set to NaN
     distance  (h * w,)   from the nearest source along the surface (m), inf where that cannot be reached
     parent    (h * w,)   the pixel before each on its way; -1: a source, or not reached
 
@@ -129,7 +129,7 @@ def _join(
 def _spread(
     points: Samples, source: int, apart_m: float, distance: Samples, parent: Times, across: Times, keys: Samples, items: Times
 ) -> int:  # fmt: skip
-    """Dijkstra from one source more, whose distance is known; `keys` and `items` are a heap's room. How many pixels came nearer."""
+    """Dijkstra from one more source of known distance; `keys` and `items` hold the heap. Returns how many pixels came nearer."""
     h, w = points.shape[0], points.shape[1]
     n, nearer = _push(keys, items, 0, distance[source], source), 0
     while n > 0:
@@ -157,7 +157,7 @@ def _spread(
 
 @kernel(nogil=True)
 def _forget(points: Samples, start: int, apart_m: float, distance: Samples, parent: Times, items: Times) -> None:
-    """Nobody is where the piece around the pixel `start` was; `items` is room for pixels."""
+    """Remove the piece around the pixel `start`; `items` is room for pixels."""
     h, w, n, place = points.shape[0], points.shape[1], 1, np.empty(3)
     items[0] = start
     while n > 0:

@@ -1,4 +1,4 @@
-"""Left and right of a person told apart: a network takes a back for a front, and exchanges them."""
+"""Keeps left and right of a person apart: a network mistakes a back for a front, and swaps them."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def unturned(
     `facing` (2,) is where the shape faces. `memory` (4,): x and z of where the person faced, whether that is known, and the log odds that
     left is left; `before` (34, 2): where the landmarks were in the image.
 
-    A body seen from behind looks like one from the front whose left is its right and whose depths are mirrored. From frame to frame that
-    reading is taken which goes on from the one before: nobody turns round, or changes hands, in a thirtieth of a second. Whether left has
+    A body seen from behind looks like one from the front with left and right swapped and depths mirrored. From frame to frame it takes
+    the reading closer to the one before: people do not turn round in a thirtieth of a second. Whether left has
     been left all along is a question of its own: the shape, depths and the network's word count for or against it, as far as they tell the
     reading from the one that it would be otherwise, and each frame in which that one would go on as well makes it less certain. Where it
     has become unlikely, left and right change places.
@@ -160,7 +160,7 @@ def exchange_legs(points: Samples) -> None:
 
 @kernel
 def _upright(points: Samples) -> float:
-    """The cosine of how far the trunk leans, by the network's own guess; at least 0: where a trunk that lies faces, nobody can say."""
+    """The cosine of how far the trunk leans, by the network's own guess; at least 0, as the facing of a horizontal trunk is undefined."""
     total, up = 1e-12, 0.0
     for i in (5, 6, 7):
         along = points[11, i] + points[12, i] - points[23, i] - points[24, i]

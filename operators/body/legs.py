@@ -1,4 +1,4 @@
-"""Which leg is whose, by where the knees are: each stays on its own hip's side."""
+"""Assigns the legs by where the knees are: each stays on its own hip's side."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One of two ways to see a body, whichever is surer: a network where there is one, depth alone where there is none."""
+"""Takes the surer of two ways to see a body: a network where available, depth alone otherwise."""
 
 from __future__ import annotations
 

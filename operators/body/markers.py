@@ -51,14 +51,14 @@ class Markers(Operator[MarkersState]):
     both its ends were measured; a marker that something hides is put on its line of sight where the bone is as long as it is. Left and
     right stay what they are when the person turns: a network that takes a back for a front is corrected by the heading so far, by the
     body's shape and by depths; while these do not tell which side is left, markers that have another side are missing. After a gap the
-    heading is taken from the shape; bones keep their lengths until nobody was seen for `forget_s`.
+    heading is taken from the shape; bones keep their lengths until the person was out of view for `forget_s`.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "confidence")
 
-    least: float = param(0.5, least=0.0, most=1.0, help="a marker with less confidence is NaN; 0: none is")
+    least: float = param(0.5, least=0.0, most=1.0, help="a marker with less confidence is NaN; 0: keep all")
     presence: float = param(
-        0.5, least=0.0, most=1.0, help="a frame in which the network is less sure that there is a person gives none"
+        0.5, least=0.0, most=1.0, help="frames with less confidence that a person is there give no markers"
     )
     reset_gap_s: float = reset_gap(0.5, "after so long without a person the heading is forgotten", above=0.0)
     forget_s: float = param(
@@ -71,7 +71,7 @@ class Markers(Operator[MarkersState]):
             raise InputError("in", spec.describe(), "what operators.body.network.PoseNetwork gives")
         camera = camera_of(spec)
         if camera is None:
-            raise InputError("in", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
+            raise InputError("in", "a stream of unknown geometry", "one with `camera` in its spec: fx, fy, cx, cy")
         self.set_state(
             MarkersState(
                 np.array(camera),

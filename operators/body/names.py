@@ -37,7 +37,7 @@ SEEN = np.dtype([("points", "<f8", (34, 8)), ("presence", "<f8"), ("facing", "<f
 
 points    per landmark: x, y (pixels), depth of the body's surface there (m; NaN: not measured), visibility, presence (0 to 1), and the
           network's own guess of the place (m, from the middle of the hips; x right, y down, z away from the camera)
-presence  how sure the network is that there is a person; NaN: nobody was looked at
+presence  how sure the network is that there is a person; NaN: not examined
 facing    where the shape in the depth image faces: x and z of a vector in the camera's axes, shorter than 1 where that is not sure
 """
 

@@ -29,12 +29,12 @@ LEAP_MM = 500.0
 @dataclass(slots=True)
 class PersonsState:
     """
-    labels    (h, w)     who was where in the newest frame: 0 nobody, 1, 2, ...
+    labels    (h, w)     the person at each pixel of the newest frame: 1, 2, ...; 0 elsewhere
     depths    (h, w)     their depths in mm
     places    (most, 4)  of everyone: middle in pixels and mm (x, y, depth), and of how many pixels; NaN: not there
     seen      (most,)    stamp at which everyone was seen last
-    hidden    (most,)    whether it was somebody else, passing before them, who covered the last that was seen of everyone
-    followed  who is followed; 0: nobody
+    hidden    (most,)    whether each person was last covered by somebody passing in front
+    followed  number of the followed person, or 0
     """
 
     camera: Samples
@@ -51,10 +51,10 @@ class Persons(Operator[PersonsState]):
     """What stands before the background (operators.body.background.Background) in; who it is, and one person's depth, out.
 
     out      (height, width) uint16: depth in mm of the one person that is followed, 0 elsewhere
-    labels   (height, width) uint8: whose pixel it is, 0: nobody's
+    labels   (height, width) uint8: number of the person at each pixel, 0 elsewhere
     persons  an event per person and frame: number, box, pixels, place
 
-    Pixels side by side whose depths differ by less than `apart_mm` are one thing; things of less than `least_share` of the frame are none,
+    Neighbouring pixels that differ by less than `apart_mm` are one thing; things of less than `least_share` of the frame are ignored,
     unless they touch somebody's box: a forearm before the trunk. People keep their numbers by the pixels they share with the frame before,
     and where they touch, each pixel is the nearer one's. What reaches to the image's border and is half a metre before where the person
     just was, a table that is pushed into the picture, is not the person's but the next one's. Whoever passes before somebody keeps apart
@@ -66,13 +66,15 @@ class Persons(Operator[PersonsState]):
 
     person: int = param(0, least=0, most=8, help="who is followed: a number; 0: the largest, until gone")
     most: int = param(4, least=1, most=8, help="how many people are distinguished")
-    apart_mm: float = param(120.0, above=0.0, help="pixels side by side whose depths differ by more are not one thing")
+    apart_mm: float = param(
+        120.0, above=0.0, help="neighbouring pixels with a larger difference in depth belong to two things"
+    )
     least_share: float = param(0.01, above=0.0, most=1.0, help="how much of the frame a person covers at least")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         if spec.dtype != np.uint16 or len(spec.shape) != 2:
-            raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 where nobody is")
+            raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 outside the person")
         camera = camera_of(spec) or (np.nan,) * 4
         places, seen = np.full((self.most, 4), np.nan), np.zeros(self.most, np.int64)
         self.set_state(
@@ -87,12 +89,12 @@ class Persons(Operator[PersonsState]):
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         n = len(chunk)
-        labels, out, told = np.zeros((n, *chunk.data.shape[1:]), np.uint8), np.zeros_like(chunk.data), list[Array]()
+        labels, out, rows_out = np.zeros((n, *chunk.data.shape[1:]), np.uint8), np.zeros_like(chunk.data), list[Array]()
         for i, time in enumerate(chunk.time.tolist()):
-            told += self._told(time, chunk.data[i], labels[i])
+            rows_out += self._events(time, chunk.data[i], labels[i])
             if self._followed():
                 only(chunk.data[i], labels[i], self._followed(), out[i])
-        events = np.array(told, PERSON)
+        events = np.array(rows_out, PERSON)
         return [
             ("out", Chunk(chunk.time, out, chunk.until, chunk.lost)),
             ("labels", Chunk(chunk.time, labels, chunk.until, chunk.lost)),
@@ -102,7 +104,7 @@ class Persons(Operator[PersonsState]):
     def _followed(self) -> int:
         return self.person or self.state.followed
 
-    def _told(self, time: int, frame: Array, labels: NDArray[np.uint8]) -> list[Array]:
+    def _events(self, time: int, frame: Array, labels: NDArray[np.uint8]) -> list[Array]:
         """Name what is in a frame; `labels` is written."""
         s = self.state
         parts, count = np.zeros(frame.shape, np.int32), 0
@@ -139,7 +141,7 @@ class Persons(Operator[PersonsState]):
         shared -= np.where(goes_on, np.minimum(farther, shared), 0)
 
     def _owners(self, time: int, count: int, sizes: Array, shared: Array, least: int) -> NDArray[np.int64]:
-        """(count + 1, most + 1): whose part it is; several people's where they touch. New people take free numbers, the largest first."""
+        """(count + 1, most + 1): the owners of each part; several where people touch. New people take free numbers, the largest first."""
         s = self.state
         owners = np.zeros((count + 1, self.most + 1), np.int64)
         for k in range(1, count + 1):
@@ -169,7 +171,7 @@ class Persons(Operator[PersonsState]):
 
     def _measured(self, time: int, frame: Array, labels: NDArray[np.uint8]) -> list[Array]:
         """Remember everyone's place; the events of a frame."""
-        s, told, rows = self.state, [], np.empty((self.most + 1, 8), np.int64)
+        s, rows_out, rows = self.state, [], np.empty((self.most + 1, 8), np.int64)
         s.labels[:] = labels
         np.multiply(frame, labels > 0, out=s.depths)
         measure(frame, labels, rows)
@@ -183,12 +185,12 @@ class Persons(Operator[PersonsState]):
             fx, fy, cx, cy = s.camera
             place = ((x - cx) / fx * z, (y - cy) / fy * z, z)
             box = (top, left, bottom - top + 1, right - left + 1)
-            told.append(np.array((time, who, box, pixels, place), PERSON))
+            rows_out.append(np.array((time, who, box, pixels, place), PERSON))
         self._follow(time)
-        return told
+        return rows_out
 
     def _follow(self, time: int) -> None:
-        """Who is followed from now on: whoever was, while seen, or for 3 s where nobody else is there or somebody hides them."""
+        """Choose whom to follow: keep the person while seen, or for 3 s if hidden or alone."""
         s = self.state
         sizes = np.nan_to_num(s.places[:, 3])
         if s.followed:

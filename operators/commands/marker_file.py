@@ -13,9 +13,9 @@ def marker_file(path: Path, meaning: str) -> dict[str, Any]:
     from kinegraph.stream.graph.reading.yaml_lines import parse
 
     try:
-        said = parse(path.read_text(encoding="utf-8"), str(path)).plain()
+        content = parse(path.read_text(encoding="utf-8"), str(path)).plain()
     except OSError as error:
         raise KinegraphError(f"{path}: cannot be read: {error.strerror}") from None
-    if not isinstance(said, dict) or not isinstance(said.get("markers"), dict) or not said["markers"]:
+    if not isinstance(content, dict) or not isinstance(content.get("markers"), dict) or not content["markers"]:
         raise KinegraphError(f"{path}: must hold `markers:`, a mapping of {meaning}")
-    return said
+    return content

@@ -89,7 +89,7 @@ class AccelerationContacts(Contacts[AccelerationState]):
 
     Where the sensor also gives angular velocity, `InertialContacts` is better in every respect. Here only the size of the
     acceleration is used. A step is what lies between two rests of the foot, as walking has in every stance; in running,
-    and on a shank, there are none, and nothing is found. The touch-down is put 90 ms before the last hard shake (the heel's and
+    and on a shank, there are no such rests, and it finds nothing. The touch-down is put 90 ms before the last hard shake (the heel's and
     the sole's impact), the lift-off 20 ms before the first peak (the push-off): medians over 13 people.
 
     Decided: when the foot has been still for 0.15 s; both contacts of a step come together, some 0.3 s after the touch-down.
@@ -97,7 +97,7 @@ class AccelerationContacts(Contacts[AccelerationState]):
 
     acceleration: tuple[str, ...] = param((), help="the three channels of acceleration; empty: those in m/s2, g or mg")
     reset_gap_s: float = reset_gap(0.3, "a longer gap, or run of bad samples, restarts detection", most=1.0)
-    side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
+    side: Literal["left", "right", ""] = param("", help="side of the foot: left, right, or empty if unknown")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -101,7 +101,7 @@ def look(m: np.void, threshold: float, most: float) -> None:
 def crosstalk(m: np.void, load: float, other: float) -> None:
     """What part of the other plate's load this one shows while its own foot is in the air: least squares over swings, with a fading memory.
 
-    Judged from how the load moves with the other's within swings, so that an offset is none. Known once the other has moved enough.
+    Fitted from how the load moves with the other's within swings, so an offset does not matter. Known once the other has moved enough.
     """
     w = m["swings"]
     for k in range(5):
@@ -124,7 +124,7 @@ def zeroed(
 ) -> None:
     """Write `load` (n,) less the plate's zero and cross-talk into `out` (n,), scaled so that a contact begins at `threshold`.
 
-    other   (n,)  load of the other plate, 0 if there is none;  starts (n,) 1 where a gap ends: blocks do not reach across it
+    other   (n,)  load of the other plate, 0 without one;  starts (n,) 1 where a gap ends: blocks do not reach across it
     memory  (1,)  of dtype ZERO
     Where the noise is high, a contact begins higher: at four standard deviations, where that is more than `threshold`.
     """

@@ -60,7 +60,7 @@ class Contacts(Operator[F]):
         counts = self.follow(time, chunk.data, found)
         state.last = int(time[-1])
         return [
-            (name, _tell(found[k, : counts[k]], chunk.until, -1 if broken else 0))
+            (name, _contacts(found[k, : counts[k]], chunk.until, -1 if broken else 0))
             for k, name in enumerate(self.outputs)
         ]
 
@@ -69,14 +69,14 @@ class Contacts(Operator[F]):
         raise NotImplementedError
 
 
-def _tell(found: Times, until: int, lost: int) -> Chunk:
+def _contacts(found: Times, until: int, lost: int) -> Chunk:
     data = np.empty(len(found), CONTACT)
     data["onset"] = found[:, 1]
     return Chunk(np.ascontiguousarray(found[:, 0]), data, until, lost)
 
 
 def signal_channels(spec: StreamSpec, wanted: Sequence[str], parameter: str) -> list[int]:
-    """Where the `wanted` channels stand in a signal; none wanted: all of them."""
+    """Indices of the `wanted` channels in a signal; all of them if `wanted` is empty."""
     if not spec.is_signal or spec.dtype.kind not in "iufb":
         raise InputError("in", spec.describe(), "a signal: rows of numeric channels")
     for name in wanted:

@@ -132,7 +132,7 @@ class ForceContacts(_Press):
     threshold_n: float = param(20.0, above=0.0, help="on the ground from this force up")
     hysteresis_n: float = param(5.0, least=0.0, help="a lift-off must fall this much further")
     channels: tuple[str, ...] = param((), help="the channels to add up; empty: all but `other`")
-    other: tuple[str, ...] = param((), help="the other belt's channels, whose cross-talk is taken out")
+    other: tuple[str, ...] = param((), help="the other belt's channels, with the cross-talk to remove")
     zero: Literal["swing", "none"] = param("swing", help="what force counts from: the plate's reading in swing, or 0")
     most_offset_n: float = param(
         100.0, above=0.0, help="a reading that is further from the zero so far is a load, not an offset"
@@ -140,7 +140,7 @@ class ForceContacts(_Press):
     inverted: bool = param(False, help="the plate shows pressure as a negative force")
     debounce_s: float = param(0.03, least=0.0, most=0.5, help="how long a contact or a swing lasts at least")
     reset_gap_s: float = reset_gap(0.1, "after a longer gap it is not known where the foot is")
-    side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
+    side: Literal["left", "right", ""] = param("", help="side of the foot: left, right, or empty if unknown")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -202,7 +202,7 @@ class SwitchContacts(_Press):
     )
     debounce_s: float = param(0.03, least=0.0, most=0.5, help="how long a contact or a swing lasts at least")
     reset_gap_s: float = reset_gap(0.1, "after a longer gap it is not known where the foot is")
-    side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
+    side: Literal["left", "right", ""] = param("", help="side of the foot: left, right, or empty if unknown")
 
     def open(self, specs: Specs) -> Specs:
         self.watch(specs["in"], 1.0)

@@ -197,7 +197,7 @@ class InertialContacts(Contacts[InertialState]):
     reset_gap_s: float = reset_gap(
         0.3, "a longer gap, or run of bad samples, restarts detection; the axis is kept", most=1.0
     )
-    side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
+    side: Literal["left", "right", ""] = param("", help="side of the foot: left, right, or empty if unknown")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]

@@ -20,12 +20,12 @@ LEGS = ("left", "right")
 @dataclass(slots=True)
 class LegContactsState:
     """stamps, rows: touch-downs, and lift-offs, that wait until all inputs have passed them;  lost (2,): -1 where some may be missing
-    before the next;  told (2,): up to when both are known downstream."""
+    before the next;  known (2,): up to when both are known downstream."""
 
     stamps: list[Times]
     rows: list[Array]
     lost: Times
-    told: Times
+    known: Times
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +47,8 @@ class LegContacts(Operator[LegContactsState]):
                 raise InputError(port, given.describe(), "contact events, with the field onset")
             if (side := str(given.meta.get("side", ""))) and not port.startswith(side):
                 raise InputError(port, f"contacts of the {side} leg", f"those of the {port.partition('_')[0]} one")
-        none, never = np.empty(0, LIMB_CONTACT), np.empty(0, np.int64)
-        state = LegContactsState([never, never], [none, none], np.zeros(2, np.int64), np.full(2, NEVER))
+        empty, never = np.empty(0, LIMB_CONTACT), np.empty(0, np.int64)
+        state = LegContactsState([never, never], [empty, empty], np.zeros(2, np.int64), np.full(2, NEVER))
         self.set_state(state, decision_s={"touchdown": 0.0, "liftoff": 0.0})
         first = specs["left_touchdown"]
         meta = {k: v for k, v in first.meta.items() if k not in ("side", "label")}
@@ -65,7 +65,7 @@ class LegContacts(Operator[LegContactsState]):
             s.stamps[k] = np.concatenate([s.stamps[k], chunk.time])
             s.rows[k] = np.concatenate([s.rows[k], with_limb(chunk.data[["onset"]], LIMB_CONTACT, leg)])
         s.lost[k] = -1 if chunk.lost else s.lost[k]
-        return [(name, self._due(i, chunk.until)) for i, name in enumerate(self.outputs) if chunk.until > s.told[i]]
+        return [(name, self._due(i, chunk.until)) for i, name in enumerate(self.outputs) if chunk.until > s.known[i]]
 
     def _due(self, k: int, until: int) -> Chunk:
         """What all inputs have passed, in order of time, the left leg first."""
@@ -73,7 +73,7 @@ class LegContacts(Operator[LegContactsState]):
         order = np.lexsort([s.rows[k]["onset"], s.rows[k]["limb"], s.stamps[k]])
         n = int((s.stamps[k] <= until).sum())
         time, rows = s.stamps[k][order], s.rows[k][order]
-        s.stamps[k], s.rows[k], s.told[k] = time[n:], rows[n:], until
+        s.stamps[k], s.rows[k], s.known[k] = time[n:], rows[n:], until
         lost, s.lost[k] = int(s.lost[k]) if n else 0, 0 if n else s.lost[k]
         return Chunk(time[:n], rows[:n], until, lost)
 

@@ -25,7 +25,7 @@ LEGS = np.dtype(
         ("before", "<f8"),
         ("before_direction", "<i8"),
         ("before_at", "<i8"),
-        ("told", "<i8"),
+        ("reported", "<i8"),
         ("vote", "<f8"),
         ("liftoff_at", "<i8"),
         ("touchdown_at", "<i8"),
@@ -40,7 +40,7 @@ NO_VOTE, SURE, BY_SIZE, BY_ENERGY = range(4)
 FORGET = 0.97
 """What a leg's vote keeps with each later leg."""
 LONGEST_NS = 1_500_000_000
-"""A swing that takes longer is none."""
+"""A longer swing is not a swing."""
 
 
 @kernel
@@ -96,7 +96,7 @@ def judge(legs: np.void, at: int, limits: Samples, voting: int) -> int:
 
     A lift-off is certain as soon as the swing is long enough, and its onset is where the leg began; a touch-down once the
     swing is over, and its onset is the swing's extreme. So every touch-down has its lift-off before it; but where the caller
-    is sure of the polarity, the first leg of all may be a swing whose begin was not seen.
+    is sure of the polarity, the first leg of all may be a swing with an unseen start.
 
     limits  (5,)  how long a swing and the leg before it must be, by how much a turn must come back to be certain,
                   after how many ns without progress a limb is at rest, and how many ns old a turn must be
@@ -111,14 +111,14 @@ def judge(legs: np.void, at: int, limits: Samples, voting: int) -> int:
         if voting == BY_ENERGY:
             weight /= max(1e-9 * (legs["extreme_at"] - legs["start_at"]), 0.05)
         legs["vote"] = FORGET * legs["vote"] + legs["direction"] * weight
-    if not legs["told"] and swings(legs, limits[SWING], limits[STANCE]):
-        legs["told"] = 1
+    if not legs["reported"] and swings(legs, limits[SWING], limits[STANCE]):
+        legs["reported"] = 1
         legs["liftoff_at"] = legs["before_at"]
         certain += LIFTOFF
     if ends and voting == SURE and legs["before_direction"] == 0 and size > limits[SWING]:
-        legs["told"] = 1 if legs["direction"] * legs["vote"] > 0.0 else 0
+        legs["reported"] = 1 if legs["direction"] * legs["vote"] > 0.0 else 0
     if ends:
-        if legs["told"]:
+        if legs["reported"]:
             legs["touchdown_at"] = legs["extreme_at"]
             certain += TOUCHDOWN
         next_leg(legs, at, limits[REVERSE])
@@ -130,10 +130,10 @@ def next_leg(legs: np.void, at: int, reverse: float) -> None:
     """Put the leg that is over behind; what reversed it is the next one, else the limb rests. Legs below `reverse` are forgotten."""
     size = abs(legs["extreme"] - legs["start"])
     if size > reverse:
-        legs["before"] = 0.0 if legs["told"] else size
+        legs["before"] = 0.0 if legs["reported"] else size
         legs["before_direction"] = legs["direction"]
         legs["before_at"] = legs["extreme_at"]
-    legs["told"] = 0
+    legs["reported"] = 0
     if (legs["extreme"] - legs["coordinate"]) * legs["direction"] > reverse:
         legs["direction"] = -legs["direction"]
         legs["start"], legs["start_at"] = legs["extreme"], legs["extreme_at"]
@@ -146,4 +146,4 @@ def next_leg(legs: np.void, at: int, reverse: float) -> None:
 def rest(legs: np.void) -> None:
     """Forget the legs, but not which way the swing runs: after a gap."""
     legs["coordinate"] = legs["start"] = legs["extreme"] = legs["before"] = 0.0
-    legs["direction"] = legs["before_direction"] = legs["told"] = 0
+    legs["direction"] = legs["before_direction"] = legs["reported"] = 0

@@ -45,9 +45,9 @@ class OnePerLimb(Operator[LimbsState], Generic[P]):
         made = []
         for i, limb in enumerate(limbs):
             mine = chunk.data["limb"] == limb
-            told = -1 if lost[i] and mine.any() else 0
+            gap = -1 if lost[i] and mine.any() else 0
             lost[i] = 0 if mine.any() else lost[i]
-            made.append(Chunk(chunk.time[mine], chunk.data[mine], chunk.until, told))
+            made.append(Chunk(chunk.time[mine], chunk.data[mine], chunk.until, gap))
         return made
 
 
@@ -87,7 +87,7 @@ def muscle_of(channel: str, pattern: str) -> str:
 
 @dataclass(slots=True)
 class Belonging:
-    """names (l,) of the limbs, none where there is one only;  belongs (l, m): 1 where a muscle is the limb's."""
+    """names (l,) of the limbs, empty if there is only one;  belongs (l, m): 1 where a muscle is the limb's."""
 
     names: list[str]
     belongs: Times

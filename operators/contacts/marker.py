@@ -44,21 +44,21 @@ class MarkerState(Followed):
     limits: Samples
     memory: Array
     motion: Array
-    told: bool
+    warned: bool
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerContacts(Contacts[MarkerState]):
     """Contacts of one foot from a marker on it or on the leg, in m, cm or mm, at a regular rate.
 
-    Takes markers (points, 3), or a signal whose channels are markers' coordinates (LANK_x, LANK_y, LANK_z). Relative to the
+    Takes markers (points, 3), or a signal with markers' coordinates as channels (LANK_x, LANK_y, LANK_z). Relative to the
     body a foot moves forwards in the swing and backwards in the stance; it turns back at touch-down and forwards at
     lift-off (Zeni 2008), overground and on a treadmill, whichever way one walks. That is where the thesis's curve of the
     left fore foot becomes flat (section 6.2.3, figure 6.1). Without a `reference` marker on hip or sacrum the body is
     taken to move as the foot does on average over some 4 s, which needs a stride or two of steady walking first.
 
-    Positions are smoothed by a causal Butterworth of order 2 at `cutoff_hz` (the thesis: 10 Hz; it names no order), whose delay the
-    onsets make up for. Samples that are missing, not finite, or exactly 0, 0, 0 are filled on a straight line up to
+    Positions are smoothed by a causal Butterworth of order 2 at `cutoff_hz` (the thesis: 10 Hz; it names no order), and its delay is
+    removed from the onsets. Samples that are missing, not finite, or exactly 0, 0, 0 are filled on a straight line up to
     `fill_gap_s`; a longer gap, and a jump that no limb makes (30 m/s), restart detection. Positions that keep making such jumps, or lie
     less than 0.1 m or more than 2.5 m from the reference, are warned of once: their unit is not what it is taken for.
     Decided: touch-down some 70 to 120 ms after its onset, lift-off some 150 ms; a walker who stops within 0.3 s, the declared delay.
@@ -72,7 +72,7 @@ class MarkerContacts(Contacts[MarkerState]):
     fill_gap_s: float = param(
         0.2, least=0.0, most=1.0, help="the longest gap that is filled; a longer one restarts detection"
     )
-    side: Literal["left", "right", ""] = param("", help="whose foot: left, right, or empty where it is not known")
+    side: Literal["left", "right", ""] = param("", help="side of the foot: left, right, or empty if unknown")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -103,7 +103,7 @@ class MarkerContacts(Contacts[MarkerState]):
             limits=np.array([SWING_M, STANCE_M, REVERSE_M, STILL_NS, 0.0]),
             memory=np.zeros(1, LEGS),
             motion=np.zeros(1, WALK),
-            told=False,
+            warned=False,
         )
         state.motion["last"] = NEVER
         known_s = 1e-9 * STILL_NS + delay_s + 2 * spec.period_ns / NS
@@ -131,13 +131,13 @@ class MarkerContacts(Contacts[MarkerState]):
             s.motion,
             found,
         )
-        if not s.told and s.motion["strange"][0] > STRANGE:
+        if not s.warned and s.motion["strange"][0] > STRANGE:
             self._warn()
         return counts
 
     def _warn(self) -> None:
         """Once: these numbers cannot be in the unit that is taken for theirs."""
-        self.state.told = True
+        self.state.warned = True
         apart = {} if self.state.alone else {"apart_m": round(float(self.state.motion["apart"][0]), 4)}
         log.warning(
             "markers jump, or are not a leg's length apart: contacts will be missing or wrong; is their unit right? `unit` sets it",

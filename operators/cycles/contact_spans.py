@@ -23,7 +23,7 @@ class ContactSpans:
     seen: int
 
     @staticmethod
-    def none() -> ContactSpans:
+    def empty() -> ContactSpans:
         return ContactSpans(np.zeros((SPANS, 4), np.int64), 0)
 
     def note(self, row: np.void, limb: int) -> int | None:
@@ -47,7 +47,7 @@ class ContactSpans:
 
 
 def changed_at(scores: Samples) -> int:
-    """Where a change began that lasts to the end: the first of the last scores (n,) whose sum is largest; positive scores agree with it."""
+    """Index of the lasting change's start: the trailing scores (n,) with the largest sum start there; positive scores agree with it."""
     return int(len(scores) - 1 - np.asarray(scores[::-1].cumsum()).argmax())
 
 
@@ -60,7 +60,7 @@ class LatestCycles:
     seen: Times
 
     @staticmethod
-    def none(limbs: int, measures: int) -> LatestCycles:
+    def empty(limbs: int, measures: int) -> LatestCycles:
         return LatestCycles(np.zeros((limbs, 32), np.int64), np.zeros((limbs, 32, measures)), np.zeros(limbs, np.int64))
 
     def add(self, limb: int, onset: int, measures: tuple[float, ...]) -> None:

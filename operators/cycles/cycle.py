@@ -79,15 +79,15 @@ class Closing:
 
 @dataclass(slots=True)
 class Expected:
-    """Accepted cycles whose event has come and whose sample has not: the events (128,) and their stamps; the first `waiting` count.
-    A person may have all of the latest 64 cycles told again at once."""
+    """Accepted cycles that still wait for their sample: the events (128,) and their stamps; the first `waiting` are valid.
+    A person may have all of the latest 64 cycles emitted again at once."""
 
     rows: Array
     stamps: Times
     waiting: int
 
     @staticmethod
-    def none(kind: np.dtype[Any] = CLOSED) -> Expected:
+    def empty(kind: np.dtype[Any] = CLOSED) -> Expected:
         return Expected(np.zeros(128, kind), np.zeros(128, np.int64), 0)
 
     def note(self, chunk: Chunk) -> None:
@@ -100,7 +100,7 @@ class Expected:
                 self.waiting += 1
 
     def match(self, stamp: int) -> Array | None:
-        """The event (1,) that belongs to a sample of `cycles`; None if there is none."""
+        """The event (1,) that belongs to a sample of `cycles`; None without one."""
         while self.waiting and self.stamps[0] < stamp:
             self._drop()
         if not self.waiting or self.stamps[0] != stamp:

@@ -32,7 +32,7 @@ class CycleOutputs:
         n = len(names)
         shapes: dict[str, tuple[int, ...]] = {"cycles": (POINTS, n), "panorama": (2 * POINTS, n)}
         blanks = [np.empty((0, *shapes.get(name, ())), kind) for name, kind in BLANK.items()]
-        return CycleOutputs(names, Panorama.none(POINTS, n), np.empty(0, np.int64), blanks)
+        return CycleOutputs(names, Panorama.empty(POINTS, n), np.empty(0, np.int64), blanks)
 
     @staticmethod
     def specs(

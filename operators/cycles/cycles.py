@@ -30,7 +30,7 @@ class CyclesState:
     contacts       the foot's, as they have been reported
     durations      of the latest plausible cycles
     start          the open cycle's touch-down; `broken`: contacts may have been missed since
-    told           the newest `until` that has gone out
+    reported       the newest `until` that was emitted
     """
 
     recent: RecentSamples
@@ -42,7 +42,7 @@ class CyclesState:
     broken: bool
     number: int
     made: CycleOutputs
-    told: int
+    reported: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Cycles(Operator[CyclesState]):
     closed     one event per cycle, rejected ones with the reason (`CLOSED`); an accepted one comes before its sample in `cycles`
     maxima     one event per local maximum of an accepted cycle and channel; at 0 and 99 % the neighbouring cycle's points decide
     panorama   (200, channels) per accepted cycle, in order, -50..149 %: with the halves of its neighbours, NaN where a neighbour was
-               rejected or there is none. It comes when the next cycle closes; a session's last cycle has none. (Thesis 6.4.1, outlook.)
+               rejected or missing. It is emitted when the next cycle closes; the last cycle has no panorama. (Thesis 6.4.1, outlook.)
 
     A cycle is closed as soon as its second touch-down is reported, two samples after that are there, and every input is complete up to
     then, so that the order in which equal stamps arrive does not matter; that is its events' stamp. Rejected is what
@@ -62,7 +62,7 @@ class Cycles(Operator[CyclesState]):
     - has a gap in signal or contacts inside ("gap"; gaps up to `gap_s` are interpolated), begins before the signal has settled
       ("settling"), begins before the signal did or was reported more than `late_s` after it ended ("incomplete");
     - holds two lift-offs that are further apart than a tenth of it ("order": a touch-down between them was missed), or stands for less
-      than `least_stance_pct` or more than `most_stance_pct` of it ("stance"). Of lift-offs close together the last counts; with none the
+      than `least_stance_pct` or more than `most_stance_pct` of it ("stance"). Of lift-offs close together the last counts; without one the
       stance is not known, and the cycle counts;
     - differs from the median duration of the last 11 cycles by more than `off_median` of it ("irregular");
     - holds NaN ("missing"): in every channel, or with `missing: cycle` in any. With `missing: muscle` the other channels are used, and
@@ -109,13 +109,13 @@ class Cycles(Operator[CyclesState]):
             recent=RecentSamples.of(keep, n),
             period=spec.period_ns,
             settling=round(spec.settling_s * NS),
-            contacts=ReportedContacts.none(),
-            durations=Durations.none(),
+            contacts=ReportedContacts.empty(),
+            durations=Durations.empty(),
             start=NEVER,
             broken=False,
             number=0,
             made=CycleOutputs.of(names),
-            told=NEVER,
+            reported=NEVER,
         )
         ahead_s = (LOOK_AHEAD + 1) / rate_hz
         self.set_state(state, delay_s=ahead_s, decision_s={"closed": ahead_s, "maxima": self.longest_s + ahead_s})
@@ -139,8 +139,8 @@ class Cycles(Operator[CyclesState]):
                 else:
                     s.contacts.lift(onset)
         self._close_due(closings, chunk.until)
-        if closings or chunk.lost or chunk.until > s.told:
-            s.told = max(s.told, int(chunk.until))
+        if closings or chunk.lost or chunk.until > s.reported:
+            s.reported = max(s.reported, int(chunk.until))
             return s.made.chunks(closings, chunk.until, -1 if chunk.lost else 0)
         return None
 
@@ -175,7 +175,7 @@ class Cycles(Operator[CyclesState]):
         s.contacts.touch(onset, stamp)
 
     def _close_due(self, closings: list[Closing], until: int) -> None:
-        """Close every cycle that has ended, whose samples are there, and whose stamp every input has passed (`until`)."""
+        """Close every ended cycle that has its samples, once every input has passed its stamp (`until`)."""
         s = self.state
         while s.contacts.waiting:
             onset, stamp = s.contacts.first

@@ -27,7 +27,7 @@ class CycleHistory:
     seen: int
 
     @staticmethod
-    def none(points: int, muscles: int) -> CycleHistory:
+    def empty(points: int, muscles: int) -> CycleHistory:
         return CycleHistory(
             np.full(REVISABLE, -1), np.zeros(REVISABLE, np.int64), np.full((REVISABLE, points, muscles), np.nan), 0
         )
@@ -58,5 +58,5 @@ class CycleHistory:
         return curve
 
     def highest(self) -> Samples:
-        """The highest value of each muscle (m,) in what is kept; 0 where there is none."""
+        """The highest kept value of each muscle (m,); 0 without any."""
         return np.asarray(np.nan_to_num(np.fmax.reduce(self.curves, axis=(0, 1))))

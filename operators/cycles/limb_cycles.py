@@ -44,8 +44,8 @@ class LimbCycles(_Placed):
     and count as not measured for whatever adds cycles up. `closed` has a field `limb`. Of l limbs, the cycles of limb i have the numbers i,
     i + l, i + 2 l ..., so every number stands for one cycle of one limb.
 
-    `limbs` tells each limb's channels by a pattern, whose star is the muscle: {left: "L_*", right: "R_*"}; L_TA is then the left TA. A
-    channel that fits none is cut by the first limb. The other parameters are those of `Cycles`, and so are reasons, delay and memory.
+    `limbs` selects each limb's channels by a pattern with a star for the muscle: {left: "L_*", right: "R_*"}; L_TA is then the left TA. A
+    channel that fits no pattern is cut by the first limb. The other parameters are those of `Cycles`, and so are reasons, delay and memory.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "touchdown", "liftoff")
@@ -93,15 +93,15 @@ class LimbCycles(_Placed):
         made = [part.process(port, share) for part, share in zip(self.parts, shares, strict=True)]
         if not any(made):
             return None
-        said: dict[str, list[Chunk]] = {name: [] for name in ("closed", "cycles", "maxima", "panorama")}
+        outputs: dict[str, list[Chunk]] = {name: [] for name in ("closed", "cycles", "maxima", "panorama")}
         for i, (part, out) in enumerate(zip(self.parts, made, strict=True)):
-            told: dict[str, Chunk] = dict(out or ())
+            part_out: dict[str, Chunk] = dict(out or ())
             for name in part.outputs:
-                each = told.get(name) or part.state.made.blank(name, chunk.until)
-                said[name].append(Chunk(each.time, self._told(name, each.data, i), each.until, each.lost))
-        return [(name, merged(chunks)) for name, chunks in said.items()]
+                each = part_out.get(name) or part.state.made.blank(name, chunk.until)
+                outputs[name].append(Chunk(each.time, self._of_limb(name, each.data, i), each.until, each.lost))
+        return [(name, merged(chunks)) for name, chunks in outputs.items()]
 
-    def _told(self, name: str, data: Array, i: int) -> Array:
+    def _of_limb(self, name: str, data: Array, i: int) -> Array:
         """What limb `i` says, with the numbers and channels of all limbs."""
         if name in ("cycles", "panorama"):
             wide = np.full((*data.shape[:2], sum(map(len, self.places))), np.nan)

@@ -18,7 +18,7 @@ class Panorama:
     whole: int
 
     @staticmethod
-    def none(points: int, channels: int) -> Panorama:
+    def empty(points: int, channels: int) -> Panorama:
         return Panorama(np.zeros((points, channels)), np.zeros((points, channels)), 0)
 
     def follow(self, cycle: Samples | None) -> Samples | None:

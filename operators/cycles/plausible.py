@@ -45,7 +45,7 @@ class Durations:
     accepted: Times
 
     @staticmethod
-    def none() -> Durations:
+    def empty() -> Durations:
         return Durations(
             np.zeros(RECENT, np.int64), 0, np.zeros((FIRST, 3), np.int64), np.zeros(FIRST), np.zeros(FIRST, np.int64)
         )

@@ -1,4 +1,4 @@
-"""One foot's contacts as they are reported: touch-downs whose cycle is not closed yet, and the latest lift-offs."""
+"""One foot's reported contacts: touch-downs of open cycles, and the latest lift-offs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WAITING, LIFTS = 16, 16
 @dataclass(slots=True)
 class ReportedContacts:
     """
-    touches   (16, 2) touch-downs whose cycle is not closed yet, onset and stamp; `waiting` of them
+    touches   (16, 2) touch-downs of open cycles, onset and stamp; `waiting` of them
     lifts     (16,) the latest lift-offs' onsets, a ring; `lifted` in all
     """
 
@@ -24,7 +24,7 @@ class ReportedContacts:
     lifted: int
 
     @staticmethod
-    def none() -> ReportedContacts:
+    def empty() -> ReportedContacts:
         return ReportedContacts(np.zeros((WAITING, 2), np.int64), 0, np.zeros(LIFTS, np.int64), 0)
 
     @property

@@ -37,7 +37,7 @@ JUDGED = np.dtype(
 LEAVE, USE = "leave out ", "use "
 CONTACTS = "contacts"
 
-Told: TypeAlias = list[tuple[int, Array, Samples | None, Array]]
+Reports: TypeAlias = list[tuple[int, Array, Samples | None, Array]]
 """Stamp, event (1,), curve (None: rejected) and judgements of each cycle to be reported."""
 
 log = structlog.get_logger(__name__)
@@ -46,10 +46,10 @@ log = structlog.get_logger(__name__)
 @dataclass(slots=True)
 class ReviewState:
     """
-    rows (64,), curves (64, 100, m)   the latest accepted cycles as they came, a ring; `seen` in all;  used (64, m) what was told of them
-    person                what a person said of these cycles
-    spans                 from when to when contacts were wrong;  trust: what a person said of all of them, UNSAID, OUT or IN
-    pending, since        the stamp of windows and alarms that have not been applied (NEVER: none), and when the first of them begins
+    rows (64,), curves (64, 100, m)   the latest accepted cycles as they came, a ring; `seen` in all;  used (64, m) muscles reported used
+    person                a person's verdicts
+    spans                 from when to when contacts were wrong;  trust: a person's verdict on all contacts, UNSAID, OUT or IN
+    pending, since        the stamp of windows and alarms not applied yet (NEVER if applied), and when the first of them begins
     """
 
     expected: Expected
@@ -72,12 +72,12 @@ class CycleReview(Operator[ReviewState]):
     """Cycles and their events in, the same out, without the muscles that are not to be trusted.
 
     closed, cycles   as they came, but a muscle that is left out is NaN throughout its cycle, and so in no mean, spread or statistic; a
-                     cycle that a person left out is rejected "by hand", one whose contacts are wrong "contacts", one with no muscle left
+                     cycle that a person left out is rejected "by hand", one with wrong contacts "contacts", one with no muscle left
                      "quality"
     judged           one event per muscle of every accepted cycle (`JUDGED`): the worst quality of its own seconds, and whether it counts
 
     A muscle is left out where its signal was bad (`leave_out`) in a window that overlaps the cycle. A window that ends after the cycle was
-    told changes it afterwards: `closed` and `cycles` then hold it a second time, which replaces the first, for the latest 64 cycles.
+    emitted changes it afterwards: `closed` and `cycles` then hold it a second time, which replaces the first, for the latest 64 cycles.
 
     A whole cycle is left out where an alarm of `contacts` (`operators.monitors.cycle_watch.CycleWatch`: steps missed, or found twice) or
     `timing` (`operators.monitors.timing_watch.TimingWatch`: shifted, or the other leg's) says that its contacts are wrong, from the onset
@@ -115,9 +115,9 @@ class CycleReview(Operator[ReviewState]):
                 if understood(text, names, -1) is None:
                     raise ParameterError(parameter, text, f"a cycle's number, a muscle ({', '.join(names)}), or both")
         state = ReviewState(
-            Expected.none(specs["closed"].dtype), Windows.none(n),
+            Expected.empty(specs["closed"].dtype), Windows.empty(n),
             np.zeros(REVISABLE, specs["closed"].dtype), np.zeros((REVISABLE, POINTS, n)),
-            np.ones((REVISABLE, n), np.int64), PersonVerdicts.none(REVISABLE, n), 0, ContactSpans.none(),
+            np.ones((REVISABLE, n), np.int64), PersonVerdicts.empty(REVISABLE, n), 0, ContactSpans.empty(),
             IN if self.trust_contacts else UNSAID, NEVER, FOREVER,
             Belonging.of(spec), names,
         )  # fmt: skip
@@ -134,7 +134,7 @@ class CycleReview(Operator[ReviewState]):
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
-        out: Told = []
+        out: Reports = []
         for i, stamp in enumerate(chunk.time.tolist()):
             self._apply(out, stamp - 1)
             if port == "quality":
@@ -145,7 +145,7 @@ class CycleReview(Operator[ReviewState]):
             elif port in ("contacts", "timing"):
                 self._alarm(stamp, chunk.data[i])
             elif port == "annotations":
-                self._said(out, stamp, str(chunk.data["text"][i]).strip())
+                self._annotated(out, stamp, str(chunk.data["text"][i]).strip())
             elif port == "closed":
                 s.expected.note(chunk.part(i, i + 1))
                 if chunk.data["rejected"][i]:
@@ -160,7 +160,7 @@ class CycleReview(Operator[ReviewState]):
     def cases(cls) -> list[Case]:
         return _cases()
 
-    def _take(self, out: Told, stamp: int, closed: Array, curve: Samples) -> None:
+    def _take(self, out: Reports, stamp: int, closed: Array, curve: Samples) -> None:
         """An accepted cycle has come, for the first time or again."""
         s = self.state
         found = np.flatnonzero(s.rows["number"] == closed["number"][0])
@@ -174,7 +174,7 @@ class CycleReview(Operator[ReviewState]):
                     if number in (-1, int(closed["number"][0])):
                         s.person.say(k, muscle, verdict)
         s.rows[k], s.curves[k] = closed[0], only_finite(curve)
-        self._tell(out, stamp, k)
+        self._report(out, stamp, k)
 
     def _alarm(self, stamp: int, row: np.void) -> None:
         """An alarm about contacts has come, or is over."""
@@ -185,22 +185,22 @@ class CycleReview(Operator[ReviewState]):
         if since is not None:
             s.pending, s.since = stamp, min(s.since, since - 1)
 
-    def _again(self, out: Told, stamp: int, cycles: list[int]) -> None:
+    def _again(self, out: Reports, stamp: int, cycles: list[int]) -> None:
         """Report those of these cycles again of which other muscles count now."""
         for k in cycles:
             if not np.array_equal(self._used(k)[0], self.state.used[k]):
-                self._tell(out, stamp, k)
+                self._report(out, stamp, k)
 
-    def _apply(self, out: Told, until: int) -> None:
-        """Judge the cycles again that windows and alarms which have come are about, once these are all there; tell those that change."""
+    def _apply(self, out: Reports, until: int) -> None:
+        """Judge the cycles again that new windows and alarms concern, once these are all there; emit those that change."""
         s = self.state
         if s.pending == NEVER or s.pending > until:
             return
         stamp, since, s.pending, s.since = s.pending, s.since, NEVER, FOREVER
         self._again(out, stamp, [k for k in self._latest() if s.rows["end"][k] > since])
 
-    def _said(self, out: Told, stamp: int, text: str) -> None:
-        """A person's word: of one cycle, of a muscle in it, or of a muscle in all of them."""
+    def _annotated(self, out: Reports, stamp: int, text: str) -> None:
+        """Apply a person's verdict on one cycle, on a muscle in it, or on a muscle in all of them."""
         s = self.state
         verdict = OUT if text.startswith(LEAVE) else IN if text.startswith(USE) else UNSAID
         if verdict and text in (LEAVE + CONTACTS, USE + CONTACTS):
@@ -236,9 +236,9 @@ class CycleReview(Operator[ReviewState]):
         s = self.state
         flag, reason = s.windows.of(int(s.rows["onset"][k]), int(s.rows["end"][k]))
         worst = {"bad": 2, "doubtful": 1, "none": 3}[self.leave_out]
-        said = s.person.of(k)
+        verdicts = s.person.of(k)
         good = (flag < worst) & (not self._wrong(k))
-        used = np.where(said == UNSAID, good, said == IN) & s.limbs.mine(s.rows[k])
+        used = np.where(verdicts == UNSAID, good, verdicts == IN) & s.limbs.mine(s.rows[k])
         return used.astype(np.int64), flag, reason
 
     def _wrong(self, k: int) -> bool:
@@ -247,7 +247,7 @@ class CycleReview(Operator[ReviewState]):
         limb = s.limbs.names.index(str(row["limb"])) if s.limbs.names else 0
         return s.trust != IN and s.spans.hold(limb, int(row["onset"]), int(row["end"]))
 
-    def _tell(self, out: Told, stamp: int, k: int) -> None:
+    def _report(self, out: Reports, stamp: int, k: int) -> None:
         s = self.state
         used, flag, reason = self._used(k)
         s.used[k] = used
@@ -260,14 +260,14 @@ class CycleReview(Operator[ReviewState]):
         mine = s.limbs.mine(row[0])
         judged = judged[mine]
         if not used.any():
-            by_hand, wrong = (s.person.said[k][mine] == OUT).all(), self._wrong(k)
+            by_hand, wrong = (s.person.cycle[k][mine] == OUT).all(), self._wrong(k)
             row["rejected"] = "by hand" if by_hand else "contacts" if wrong else "quality"
             out.append((stamp, row, None, judged))
         else:
             out.append((stamp, row, np.where(used.astype(bool), s.curves[k], np.nan), judged))
 
 
-def _emitted(out: Told, chunk: Chunk, kind: np.dtype[np.void], muscles: int) -> list[tuple[str, Chunk]]:
+def _emitted(out: Reports, chunk: Chunk, kind: np.dtype[np.void], muscles: int) -> list[tuple[str, Chunk]]:
     until, lost = chunk.until, -1 if chunk.lost else 0
     stamps = np.array([stamp for stamp, *_ in out], np.int64)
     curves = [(stamp, curve) for stamp, _, curve, _ in out if curve is not None]
@@ -291,11 +291,11 @@ def _cases() -> list[Case]:
     rows["flag"] = "good"
     rows["flag"][12:24:3], rows["reason"][12:24:3] = "bad", "flat line"
     text = np.dtype([("onset", "<i8"), ("text", "U64")])
-    said = np.array([(0, "leave out 3"), (0, "use 6 TA"), (0, "coffee"), (0, "leave out SO"), (0, "use 3")], text)
-    when = np.linspace(6 * NS, last - NS, len(said)).astype(np.int64)
+    verdicts = np.array([(0, "leave out 3"), (0, "use 6 TA"), (0, "coffee"), (0, "leave out SO"), (0, "use 3")], text)
+    when = np.linspace(6 * NS, last - NS, len(verdicts)).astype(np.int64)
     more = {
         "quality": (StreamSpec((), QUALITY, units=("",)), stamps, rows),
-        "annotations": (StreamSpec((), text, units=("",)), when, said),
+        "annotations": (StreamSpec((), text, units=("",)), when, verdicts),
     }
     alarms = np.zeros(2, ALARM)
     alarms["subject"], alarms["what"] = "contacts", "muscles work half a cycle off"

@@ -18,7 +18,7 @@ class RunningCurve:
     squares: Samples
 
     @staticmethod
-    def none(points: int, muscles: int) -> RunningCurve:
+    def empty(points: int, muscles: int) -> RunningCurve:
         return RunningCurve(np.zeros(muscles), np.zeros((points, muscles)), np.zeros((points, muscles)))
 
     def add(self, curve: Samples) -> Array:

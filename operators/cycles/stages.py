@@ -18,8 +18,8 @@ Began: TypeAlias = list[tuple[int, tuple[Any, ...]]]
 STAGE = np.dtype(
     [("onset", "<i8"), ("stage", "<U32"), ("number", "<i8"), ("speed_m_s", "<f8"), ("cycles", "<i8"), ("say", "<U120")]
 )
-"""A stage has begun (`onset`): its name, the how-manieth it is, its belt speed (NaN: not known), how many good cycles the stage before
-it had, and what is to be said. An empty name: the protocol has ended."""
+"""A stage has begun (`onset`): its name, its number, its belt speed (NaN: not known), how many good cycles the stage before
+it had, and the text to show. An empty name: the protocol has ended."""
 MOST = 64
 SPEEDS = 64
 
@@ -72,14 +72,14 @@ class StagesState:
 class Stages(Operator[StagesState]):
     """Cycles' events in, the same out with the fields `stage` and `speed_m_s`; and an event per stage as it begins.
 
-    closed   as it came, with the stage that the whole cycle lies in ("": none, or across two), and the belt's speed in m/s: typed or
+    closed   with the stage that the whole cycle lies in ("" outside a stage or across two), and the belt's speed in m/s: typed or
              given with the stage, or the mean of what input `speed` measured during the cycle; NaN where it is not known
             (a measured speed that is NaN is passed over)
-    stages   `STAGE`, stamped when it is decided; the screen shows what is to be said
+    stages   `STAGE`, stamped when it is decided; the screen shows its text
 
     A stage begins by an annotation, "stage warm-up" or "stage 1.2 m/s" (a name that is a speed sets it, as "speed 1.2" does for the stage
     under way), or by `protocol`: the first with the session's first sample, the next when the one before it has lasted `for_s`, has its
-    number of good `cycles`, or at "next". "end stage" ends the stage under way, and begins none; at "next" a protocol then goes on.
+    number of good `cycles`, or at "next". "end stage" ends the stage under way, and begins no other; at "next" a protocol then goes on.
     Annotations are recorded, so a replay has the same stages. A cycle that is reported again keeps its stage, and is not counted twice.
     """
 
@@ -150,10 +150,10 @@ class Stages(Operator[StagesState]):
         self._pass(began, s.newest if chunk.until == FOREVER else chunk.until)
         lost = -1 if chunk.lost and port == "closed" else 0
         closed = np.array(rows, s.blank.dtype) if rows else s.blank
-        told = np.array([row for _, row in began], STAGE)
+        stages = np.array([row for _, row in began], STAGE)
         stamps = np.array([stamp for stamp, _ in began], np.int64)
         when = chunk.time if rows else chunk.time[:0]
-        return [("closed", Chunk(when, closed, chunk.until, lost)), ("stages", Chunk(stamps, told, chunk.until))]
+        return [("closed", Chunk(when, closed, chunk.until, lost)), ("stages", Chunk(stamps, stages, chunk.until))]
 
     @classmethod
     def cases(cls) -> list[Case]:
@@ -163,12 +163,12 @@ class Stages(Operator[StagesState]):
         rows["onset"], rows["end"], rows["number"] = onset, onset + NS, np.arange(1, n + 1)
         rows["rejected"][7] = "gap"
         text = np.dtype([("onset", "<i8"), ("text", "U64")])
-        said = np.array(
+        annotations = np.array(
             [(0, "stage 1.2 m/s"), (0, "speed 1.4"), (0, "next"), (0, "coffee"), (0, "stage"), (0, "end stage")], text
         )
-        when = np.linspace(9 * NS, 36 * NS, len(said)).astype(np.int64)
+        when = np.linspace(9 * NS, 36 * NS, len(annotations)).astype(np.int64)
         inputs = {
-            "annotations": (StreamSpec((), text, units=("",)), when, said),
+            "annotations": (StreamSpec((), text, units=("",)), when, annotations),
             "closed": (StreamSpec((), CLOSED, units=("",)), onset + NS + 20_000_000, rows),
         }
         more = {
@@ -251,7 +251,7 @@ class Stages(Operator[StagesState]):
 
 
 def _speed(text: str) -> float:
-    """The number before "m/s" or "km/h", or alone, in m/s; NaN where there is none."""
+    """The number before "m/s" or "km/h", or alone, in m/s; NaN without a number."""
     words = text.replace("m/s", " m/s").replace("km/h", " km/h").split()
     try:
         value = float(words[0])

@@ -25,7 +25,7 @@ class Windows:
     seen: int
 
     @staticmethod
-    def none(muscles: int) -> Windows:
+    def empty(muscles: int) -> Windows:
         return Windows(
             np.zeros(WINDOWS, np.int64),
             np.zeros(WINDOWS, np.int64),
@@ -56,26 +56,26 @@ class Windows:
 
 @dataclass(slots=True)
 class PersonVerdicts:
-    """What a person said, UNSAID, OUT or IN: of a muscle in one of the latest cycles, `said` (64, m), or in all of them, `session` (m,)."""
+    """Verdicts, UNSAID, OUT or IN: on a muscle in one of the latest cycles, `cycle` (64, m), or in all of them, `session` (m,)."""
 
-    said: Times
+    cycle: Times
     session: Times
 
     @staticmethod
-    def none(cycles: int, muscles: int) -> PersonVerdicts:
+    def empty(cycles: int, muscles: int) -> PersonVerdicts:
         return PersonVerdicts(np.zeros((cycles, muscles), np.int64), np.zeros(muscles, np.int64))
 
     def say(self, k: int, muscle: int, verdict: int) -> None:
         """Of the cycle at `k`; of all its muscles, where `muscle` is -1."""
-        self.said[k, slice(None) if muscle < 0 else muscle] = verdict
+        self.cycle[k, slice(None) if muscle < 0 else muscle] = verdict
 
     def of(self, k: int) -> Times:
         """Of each muscle (m,) in the cycle at `k`."""
-        return np.where(self.said[k] != UNSAID, self.said[k], self.session)
+        return np.where(self.cycle[k] != UNSAID, self.cycle[k], self.session)
 
 
 def understood(text: str, muscles: list[str], latest: int) -> tuple[int, int] | None:
-    """ "17", "17 TA", "TA" or "last" as (number, muscle), -1 for all of them; None if it is none of these."""
+    """ "17", "17 TA", "TA" or "last" as (number, muscle), -1 for all of them; None if it is another text."""
     words = text.split()
     number = muscle = -1
     for word in words:

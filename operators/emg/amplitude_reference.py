@@ -33,10 +33,10 @@ class AmplitudeReference:
 
     kind       mvc, rest or task
     values     per method of `METHODS` that the kind offers: one number per channel, in `unit`
-    channels   whose values these are, in order; unit: of the raw signal
+    channels   the channels of these values, in order; unit: of the raw signal
     envelope   the envelope's parameters; a reference is valid only for envelopes made alike
     noise      baseline noise per channel (rms of the quietest 100 ms), in `unit`; from rest only
-    subject, date, source, note   whose, when, from which recording, and how it was taken
+    subject, date, source, note   of whom, when, from which recording, and how it was taken
     """
 
     kind: str

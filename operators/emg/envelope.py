@@ -77,14 +77,14 @@ class Envelope(Operator[EnvelopeState]):
     - `phase: causal` uses the Butterworth filters as they are, about 0.05 s behind; stamps are set back by the anti-alias filter's delay
       and by the low-pass's mean group delay below half its cut-off. One peak in ten then lies more than 1 % of a cycle off.
 
-    Delay: declared by `delay_s`, subtracted from the stamps. The last `delay_s` of a stream lack their look-ahead and do not come out.
-    NaN or infinity: the last finite value of that channel replaces it; the outputs whose interval holds it are NaN.
+    Delay: declared by `delay_s`, subtracted from the stamps. The last `delay_s` of a stream lack their look-ahead and are not emitted.
+    NaN or infinity: the last finite value of that channel replaces it; the outputs that cover it are NaN.
     A gap longer than `reset_gap_s` resets the filters, which take `settling_s` to settle; after a shorter one samples count as consecutive.
     """
 
     cutoff_hz: float = param(20.0, above=0.0, help="cut-off of the low-pass (each way)")
     order: int = param(4, least=1, most=10, help="of the low-pass (each way)")
-    highpass_hz: float = param(20.0, least=0.0, help="cut-off of the high-pass before rectifying; 0: none")
+    highpass_hz: float = param(20.0, least=0.0, help="cut-off of the high-pass before rectifying; 0: no high-pass")
     highpass_order: int = param(2, least=1, most=6, help="of the high-pass (each way)")
     rate_hz: float = param(120.0, least=0.0, help="rate of the envelope; 0: the input's")
     phase: Literal["zero", "causal"] = param(

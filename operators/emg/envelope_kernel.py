@@ -111,14 +111,14 @@ def envelope(
 ) -> int:
     """Take the samples `x` (n, c); write what is then known of the envelope to `out`; returns the rows written.
 
-    hp_sos     (s, 6)        high-pass (none: s = 0), hp_z (s, 2, c) its memory, hp_start (s, 2) that for a constant 1
+    hp_sos     (s, 6)        high-pass (s = 0 without one), hp_z (s, 2, c) its memory, hp_start (s, 2) that for a constant 1
     ahead      (B + L, c)    what left the high-pass and is run through it backwards, B samples at a time, from L samples ahead
     back_z     (s, 2, c)     memory on the way back; B = 1, L = 0: there is no way back
     taps       (up, 2 h + 1) low-pass, one row for each position between two samples
     step       (3 + up,)     up, down, B, then the ns that each of the `up` positions lies after its sample
     rectified  (2 V, c)      the last V = 2 h + 1 rectified samples, each kept twice, V apart, so that a window never wraps
-    lp_sos     (q, 6)        causal low-pass at the output's rate (none: q = 0), lp_z (q, 2, c) its memory
-    held       (c,)          the last finite value; NaN: none yet; replaces what is not finite
+    lp_sos     (q, 6)        causal low-pass at the output's rate (q = 0 without one), lp_z (q, 2, c) its memory
+    held       (c,)          the last finite value; NaN before the first; replaces what is not finite
     bad        (R, c), stamps (R, 2)   per recent input sample: whether it was not finite; its stamp, and `lost` just before it
     count      (4,)          samples taken, rectified, rows written since the start or the last reset; rows filled in `ahead`
     marks      (rows, 2)     written: the output's stamp, and `lost` just before it

@@ -28,14 +28,14 @@ class Normalise(Operator[NormaliseState]):
     """An envelope (channels,) in, the same in per cent of a reference out. No delay.
 
     `method` is what the reference stands for: `mvc` the strongest voluntary contraction, `rest` the mean at rest, `task_peak` and
-    `task_mean` the peak and the mean of the mean cycle in a calibration walk, or `none`: nothing is changed, no reference is needed.
+    `task_mean` the peak and the mean of the mean cycle in a calibration walk, or `none`, which changes nothing and needs no reference.
     The reference is a file that `kinegraph emg calibrate` wrote. It is read once, when the graph is opened, and is refused if its muscles,
     its unit or its envelope's parameters are others than those of the input, or if it was taken of another subject than the session's
     (unless `any_subject`).
 
     The thesis scales every signal to [0, 1]; done cycle by cycle that hides every change in strength. A reference that is frozen before
     the session keeps cycles, muscles and sessions comparable. `meta["normalisation"]` names the method on this and every stream made from
-    it, `meta["normalisation_reference"]` holds the reference's values, whose they are and when they were taken: so does every recording.
+    it, `meta["normalisation_reference"]` holds the reference's values, person and date: so does every recording.
     """
 
     takes = "finite"
@@ -76,11 +76,11 @@ class Normalise(Operator[NormaliseState]):
         """Refuse a reference of somebody else than the session's subject, where both are known."""
         if self.method == "none" or self.any_subject:
             return
-        whose, subject = AmplitudeReference.read(Path(self.reference)).subject, str(session.get("subject") or "")
-        if whose.strip() and subject.strip() and whose.strip().casefold() != subject.strip().casefold():
+        owner, subject = AmplitudeReference.read(Path(self.reference)).subject, str(session.get("subject") or "")
+        if owner.strip() and subject.strip() and owner.strip().casefold() != subject.strip().casefold():
             accepts = (
-                f"one of the session's subject: it was taken of {whose!r}, and the session is of {subject!r}; `any_subject: true` "
-                f"uses it all the same, `session.subject` says whose session it is"
+                f"one of the session's subject: it was taken of {owner!r}, and the session is of {subject!r}; `any_subject: true` "
+                f"uses it all the same, `session.subject` names the session's subject"
             )
             raise ParameterError("reference", self.reference, accepts)
 

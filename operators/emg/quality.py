@@ -54,7 +54,7 @@ MOST_NOISE_UV = 10.0
 BAD_NOISE = 3.0
 """From this many times that noise on, an electrode is bad."""
 RISEN = (3.0, 6.0)
-"""A window whose noise is above the limit is doubtful, or bad, if it is also this many times the lowest of the session."""
+"""A window with noise above the limit is doubtful, or bad, if it is also this many times the lowest of the session."""
 MICROVOLTS = {"uV": 1.0, "µV": 1.0, "mV": 1e-3, "V": 1e-6}
 ENOUGH = 3
 """Windows after which the session's contrast and noise are judged."""
@@ -112,8 +112,8 @@ class SignalQuality(Operator[QualityState]):
     if contrast is below `least_contrast` (doubtful; a muscle that never works looks the same), or if noise is above three times that of the
     reference `rest` (doubtful; a file by `kinegraph emg calibrate rest`); for a window, if its noise is above these limits and at least
     three (six) times that of the quietest.
-    The limits are ours, set on recordings with known faults; SENIAM and the thesis give none. Whether cycles repeat is another question,
-    which `CycleEnsemble` answers ("not repeatable"); it says nothing about the electrode.
+    The limits are ours, from recordings with known faults; SENIAM and the thesis give no limits. Whether cycles repeat is another question,
+    which `CycleEnsemble` answers ("not repeatable"); it is no measure of the electrode.
 
     A gap longer than `reset_gap_s` throws the open window away. Memory: one window.
     """
@@ -127,7 +127,7 @@ class SignalQuality(Operator[QualityState]):
     most_noise: float = param(
         0.0, least=0.0, help="more is baseline noise, in the signal's unit; 0: 10 uV, where the unit is one of voltage"
     )
-    rest: str = param("", help="a rest reference, whose baseline noise is compared")
+    rest: str = param("", help="a rest reference, for its baseline noise")
     reset_gap_s: float = reset_gap(0.05)
 
     def open(self, specs: Specs) -> Specs:

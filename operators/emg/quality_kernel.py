@@ -8,7 +8,7 @@ from kinegraph.stream.chunk import Array, Samples
 from kinegraph.stream.kernel import kernel
 
 LEVELS = 32
-"""A window whose range spans fewer of its smallest steps is too coarse to tell clipping by."""
+"""A window with a range of fewer smallest steps is too coarse to detect clipping."""
 
 
 @kernel

@@ -47,15 +47,17 @@ class Bundle(Operator[BundleState]):
     derivative); across that, the principal components which hold `variance` of the neighbours; there the nearest maximum of their
     density (Gaussian kernels, Scott's bandwidth).
 
-    Delay: `ahead` frames, the last of which do not come out. A frame that has a bad value, or whose direction is not known (two frames
-    beside the start or a gap of more than three frames, four beside a bad value), comes out as it is.
+    Delay: `ahead` frames, the last of which are not emitted. A frame with a bad value, or with an unknown direction (two frames
+    beside the start or a gap of more than three frames, four beside a bad value), is emitted unchanged.
 
     Departures from the thesis: the density's maximum is sought, not its minimum as equation 2.4 prints; neighbours are those known by then,
     not of the whole recording, so that the first cycles of a movement are drawn together less; instead of random directions made
     orthogonal, what lies along the movement is taken off, which spans the same space and is the same every time.
     """
 
-    exemptions: ClassVar[dict[str, str]] = {"channels": "a frame with a bad value has no neighbours, and is none"}
+    exemptions: ClassVar[dict[str, str]] = {
+        "channels": "a frame with a bad value has no neighbours, and is no neighbour"
+    }
 
     takes = "rows"
     k: int = param(32, least=4, most=128, help="how many neighbours")

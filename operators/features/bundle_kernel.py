@@ -30,7 +30,7 @@ def bundle(
     """Write the bundled `frame` (d,), which is number `at` of the index, into `out` (d,); returns how many steps that took.
 
     k, variance  how many neighbours, and the share of their variance that is kept
-    ways         (3, d)  ways[0]: the direction of movement, any length, 0 for none; the rest is room
+    ways         (3, d)  ways[0]: the direction of movement, any length, 0 if unknown; the rest is room
     pull (d, k), gram (k, k), basis (k, k), room (6, k)  room
 
     The neighbours less the frame lose what lies along the direction. Of their principal components, found from the k x k matrix of

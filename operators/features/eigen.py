@@ -1,6 +1,6 @@
 """Eigenvalues and eigenvectors of small symmetric matrices, the same bits on every call: Householder's reduction, then implicit QL steps.
 
-LAPACK would do the same, through a BLAS whose threads and kernels are not ours to choose.
+LAPACK would do the same, through a BLAS with threads and kernels outside our control.
 """
 
 from __future__ import annotations

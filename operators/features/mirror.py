@@ -40,7 +40,7 @@ class Mirror(SampleWise[MirrorState]):
 
     swap    pairs of channels that change places; a name also stands for its channels: `[ankle_l, ankle_r]` for ankle_l.x, .y and .z
     negate  channels that change their sign: what points sideways, and turns about axes in the plane. "*.x" stands for all that end so
-    sides   whether the first of each pair is the left one. If not, or where nothing is said, results say A and B, not left and right
+    sides   whether the first of each pair is the left one. Otherwise results name the sides A and B, not left and right
 
     Without `swap` and `negate` a pose's own pairs are used (operators.features.pose.Pose). A channel may stand in one pair. Stacked
     features keep their offsets: ankle_l.x[-10] and ankle_r.x[-10]. The output's `meta["sides"]` is "LR", or "AB" where sides are not known;
@@ -85,7 +85,7 @@ class Mirror(SampleWise[MirrorState]):
         return couples, set(own["negate"])
 
     def _couples(self, names: list[str]) -> dict[str, str]:
-        """Who takes whose place, both ways; the first of each pair before the second."""
+        """Each channel's counterpart, both ways; the first of each pair before the second."""
         found: dict[str, str] = {}
         for i, (first, second) in enumerate(self.swap):
             for a in self._named(f"swap[{i}]", first, names):
@@ -106,7 +106,7 @@ class Mirror(SampleWise[MirrorState]):
         return self._named("negate", given, names)
 
     def _named(self, parameter: str, given: str, names: list[str]) -> list[str]:
-        """The channel of this name, or those whose name goes on with a dot."""
+        """The channel of this name, or all with this name and a dot as prefix."""
         made = [name for name in dict.fromkeys(names) if name == given or name.startswith(f"{given}.")]
         if not made:
             raise ParameterError(parameter, given, f"a channel of the input; {nearest(given, names)}")

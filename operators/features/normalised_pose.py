@@ -27,7 +27,7 @@ def normalise_pose(
     """Poses of the bodies `x` (n, width) into `out` (n, 3 m).
 
     columns  (p, 3)  columns of the input's markers that are used
-    parts    (j, 2)  which of these make up a marker of the set: the origin, the one ahead, the m that come out; none: missing
+    parts    (j, 2)  the input's markers for each marker of the set: the origin, the one ahead, the m emitted; empty: missing
     heading  (2,)    cosine and sine of the newest heading; NaN before there is one
     work     (3, 3)  room for the origin, the marker ahead, and one more
     """
@@ -69,8 +69,8 @@ class NormalisedPose(SampleWise[NormalisedPoseState]):
 
     origin   the marker that positions are relative to, e.g. the withers
     ahead    the marker that lies in the x-y plane at positive x, e.g. the sacrum: all are rotated about the vertical y until it does
-    markers  the set: marker: [marker of the input, ...], whose mean it is. Recordings of different set-ups, each with a table of its own,
-             come out with the same channels. Without it, the input's own markers
+    markers  the set: marker: [marker of the input, ...], their mean. Recordings of different set-ups, each with a table of its own,
+             get the same channels. Without it, the input's own markers
 
     A marker of the set that the input lacks is NaN throughout, and its channels are listed in `meta["missing"]`; `origin` and `ahead`
     must be there. A hidden marker is NaN; where `origin` or `ahead` is hidden, so is the whole pose. While these two stand nearly above

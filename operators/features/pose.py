@@ -230,7 +230,7 @@ class Pose(_Seen):
 
 
 def point_names(spec: StreamSpec) -> tuple[str, ...]:
-    """Names of a stream's points; numbers where they have none. Raises InputError where it has no points."""
+    """Names of a stream's points; numbers for unnamed points. Raises InputError for a stream without points."""
     if len(spec.shape) == 2 and spec.shape[1] == 3:
         return spec.channels or tuple(map(str, range(spec.shape[0])))
     if spec.is_signal and spec.shape[0] % 3 == 0:

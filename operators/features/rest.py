@@ -32,7 +32,7 @@ class RestState(Continuity):
 
 @dataclass(frozen=True, slots=True)
 class SkipRest(Operator[RestState]):
-    """Samples in and out, but none while no channel has moved by more than `moves` within the newest `window_s`.
+    """Drops samples while no channel has moved by more than `moves` within the newest `window_s`.
 
     What is kept back counts as lost, so that what follows sees a gap: somebody sat down, or put the phone on the table. Movement passes
     from its first sample beyond `moves` on. The first `window_s` pass, also after a gap. A sample with a bad value passes, as NaN. No

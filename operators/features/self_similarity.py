@@ -24,7 +24,7 @@ def compare(x: Samples, ring: Samples, held: Times, every: int, time: Times, out
     ring  (lags, c)  the rows compared last
     held  (3,)       how many rows pass before the next one is compared, the place in the ring filled next, how many are filled
 
-    Euclidean, divided by the root of c; over the features that both rows have, and NaN where they share none, or nothing was there.
+    Euclidean, divided by the root of c; over the features that both rows have, and NaN where they share no feature, or without a row.
     """
     lags, width = ring.shape
     first = held[0]
@@ -64,7 +64,7 @@ class SelfSimilarity(Filter[SelfSimilarityState]):
     """Features in (width,); out come distances (lags,): of every `every`-th frame, to the one compared before it, the one before that, ...
 
     The distance is Euclidean, divided by the root of the number of features, as in `operators.segmentation.Segment`; over the features
-    that both frames have, and NaN where there are none yet. The page draws it as the square matrix of the thesis (panel `similarity`). Row
+    that both frames have; NaN without any. The page draws it as the square matrix of the thesis (panel `similarity`). Row
     after row costs `lags` distances, and the state is `lags` frames, however long the session is. No delay. In a gap the lost frames are
     counted, so that lags stay times; a longer one than `reset_gap_s` starts afresh.
 

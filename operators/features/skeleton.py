@@ -39,7 +39,7 @@ SETS: dict[str, tuple[str, ...]] = {
 def find_joints(
     points: Iterable[str], wanted: Iterable[str], given: Mapping[str, tuple[str, ...]]
 ) -> dict[str, tuple[str, ...]]:
-    """For each joint that is wanted, the points whose middle it is: those that are given, else those that its names point to.
+    """For each wanted joint, the points to average: the given ones, else those found by the joint's names.
 
     Joints are called "root", "neck", "head", and "ankle", "knee", "hip", "wrist", "elbow", "shoulder" with "_l" or "_r". Of the root
     nothing need be found: it is then the middle of both hips. Raises ParameterError for one that is not there.
@@ -65,7 +65,7 @@ def find_joints(
                 raise ParameterError(
                     "joints",
                     dict(given),
-                    f"a mapping that says which points make up {joint!r}: none of the input's is called so "
+                    f"a mapping with the points of {joint!r}: the input has no point of this name "
                     f"({', '.join(names[:8])}{', ...' if len(names) > 8 else ''})",
                 )
             found[joint] = made

@@ -97,11 +97,11 @@ class Stack(Operator[StackState]):
     """Frames (width,) in; out come frames (offsets x width,): the frames at all offsets side by side, under the stamp of offset 0.
 
     offsets  in frames, each once: negative ones reach back, positive ones ahead. The delay is the largest
-    causal   moves all offsets back until none reaches ahead: no delay, but the stamp is then the newest frame's, and cuts found in such
+    causal   moves all offsets back until all are at most 0: no delay, but the stamp is then the newest frame's, and cuts found in such
              features are some 5 points of F1 worse than with the centred ones
 
-    The offsets count frames: fill gaps first where frames are dropped (operators.filters.gaps.FillGaps). Frames whose stack is not
-    complete, at
+    The offsets count frames: fill gaps first where frames are dropped (operators.filters.gaps.FillGaps). Frames with an incomplete
+    stack, at
     the start, at the end and around a gap longer than `reset_gap_s`, do not come out. A bad value is NaN in every stack that holds it.
     Points (points, 3) are laid flat. `meta["stack"]` holds the offsets and the number of features, from which a radius R per single number
     becomes R sqrt(offsets x features).
@@ -109,7 +109,7 @@ class Stack(Operator[StackState]):
 
     takes = "rows"
     offsets: tuple[int, ...] = param((-10, -5, 0, 5, 10), least=-FARTHEST, most=FARTHEST, help="in frames")
-    causal: bool = param(False, help="offsets moved back until none reaches ahead")
+    causal: bool = param(False, help="offsets moved back until all are at most 0")
     reset_gap_s: float = reset_gap(0.5)
 
     def open(self, specs: Specs) -> Specs:
@@ -138,14 +138,14 @@ class Stack(Operator[StackState]):
         return {"out": made}
 
     def _offsets(self) -> tuple[int, ...]:
-        """The offsets in order, none beyond what is known; the span always holds offset 0, whose stamp counts."""
+        """The offsets in order, limited to known frames; the span always holds offset 0, which gives the stamp."""
         given = self.offsets
         if not 1 <= len(given) <= MOST or len(set(given)) < len(given):
             raise ParameterError("offsets", list(given), f"a list of 1 to {MOST} different numbers of frames")
         if self.causal:
             return tuple(sorted(offset - max(given) for offset in given))
         if max(given) < 0:
-            raise ParameterError("offsets", list(given), "a list whose largest is at least 0, the frame itself")
+            raise ParameterError("offsets", list(given), "a list with a largest offset of at least 0, the frame itself")
         return tuple(sorted(given))
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
@@ -160,7 +160,7 @@ class Stack(Operator[StackState]):
         return pieces(when[0, :made], out[:made], when[1, :made], self._promise(chunk.until))
 
     def _promise(self, until: int) -> int:
-        """No later stack has a stamp at or before this: not before the oldest frame whose stack is yet to come."""
+        """No later stack has a stamp at or before this: not before the oldest frame that still waits for its stack."""
         s = self.state
         span, ahead = len(s.ring) - 1, s.past.shape[1] - 1
         known = min(int(s.places[1]), span)

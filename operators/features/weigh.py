@@ -55,7 +55,9 @@ class Weigh(SampleWise[WeighState]):
         of = [[key for key in self.weights if fnmatchcase(name, key)] for name in names]
         for name, keys in zip(names, of, strict=True):
             if len(keys) != 1:
-                raise ParameterError("weights", self.weights, f"one that {name} matches; {len(keys) or 'none'} do")
+                raise ParameterError(
+                    "weights", self.weights, f"one that {name} matches; {len(keys) or 'no channels'} do"
+                )
         counts = {key: sum(key in keys for keys in of) for key in self.weights}
         if missing := [key for key, count in counts.items() if not count]:
             raise ParameterError("weights", missing[0], f"what matches one of {', '.join(names)}")

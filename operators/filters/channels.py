@@ -40,7 +40,7 @@ class Select(SampleWise[SelectState]):
     channels  names, or numbers from 0 where a stream has no names (then its channels are called "0", "1", ...); empty: all
     rename    new names by old ones
 
-    Takes signals and markers (whose channels are the points) of any dtype, which stays.
+    Takes signals and markers (with points as channels) of any dtype, and keeps the dtype.
     """
 
     channels: tuple[str | int, ...] = param((), help="names, or numbers from 0; empty: all")

@@ -99,7 +99,7 @@ class FillGaps(Operator[FillState]):
     nothing good precedes, stays NaN; across a gap in time that is too long nothing is filled.
 
     method  linear: a straight line between the neighbours; hold: the value before the run
-    delay   a sample that may yet be filled waits for the next good one, so `limit_s` at most; without bad samples there is none
+    delay   a sample that may yet be filled waits for the next good one, so `limit_s` at most; without bad samples there is no delay
     """
 
     delays: ClassVar[str] = "`limit_s`, only where something is bad"

@@ -117,7 +117,7 @@ class _Sections(Filter[SectionsState]):
     start: Literal["zero", "first"]
 
     def design(self, rate_hz: float) -> tuple[Samples, float]:
-        """The sections (s, 6), and the frequency in Hz whose group delay the stamps make up for (NaN: none)."""
+        """The sections (s, 6), and the frequency in Hz of the group delay to subtract from stamps (NaN: subtract nothing)."""
         raise NotImplementedError
 
     def begin(self, spec: StreamSpec) -> tuple[SectionsState, Kernel]:
@@ -166,7 +166,7 @@ class Lowpass(_Sections):
 class Highpass(_Sections):
     """Butterworth high-pass: removes offset and drift, e.g. motion artefacts of EMG below 10-20 Hz. Stamps unchanged, no delay declared."""
 
-    delays: ClassVar[str] = "none; stamps stay"
+    delays: ClassVar[str] = "no delay; stamps stay"
     references: ClassVar[str] = "`sosfilt`, every bit"
     cutoff_hz: float = param(above=0.0, help="where the filter is 3 dB down")
     order: int = param(4, least=1, most=20, help="of the filter: each adds 6 dB per octave")
@@ -215,7 +215,7 @@ class Notch(_Sections):
     Stamps unchanged, no delay declared.
     """
 
-    delays: ClassVar[str] = "none; stamps stay"
+    delays: ClassVar[str] = "no delay; stamps stay"
     references: ClassVar[str] = "`iirnotch` through `sosfilt`, every bit"
     notch_hz: float = param(50.0, above=0.0, help="what is removed, e.g. 50 or 60 Hz mains")
     width_hz: float = param(2.0, above=0.0, help="width of each notch, 3 dB down to 3 dB down")

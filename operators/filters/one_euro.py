@@ -30,7 +30,7 @@ def smoothed_by_speed(
     when: Times,
     out: Samples,
 ) -> None:
-    """Every channel of `x` (n, c) through a low-pass whose cut-off rises by `beta` Hz for each unit per second, into `out` (n, c).
+    """Every channel of `x` (n, c) through a low-pass with a cut-off that rises by `beta` Hz for each unit per second, into `out` (n, c).
 
     value, slope  (c,)  what came out last, and its smoothed change per second
     when          (c,)  the stamp of the newest value that was finite
@@ -54,14 +54,14 @@ def smoothed_by_speed(
 
 @dataclass(frozen=True, slots=True)
 class OneEuro(Filter[SlopeState]):
-    """A low-pass whose cut-off rises with speed, channel by channel: for positions that people see move.
+    """A low-pass filter with a cut-off that rises with speed, for positions shown to people.
 
     Stamps stay. The lag is 1 / (2 pi cutoff) at rest, 80 ms at 2 Hz, and less the faster it goes: 1 / (2 pi (cutoff_hz + beta |speed|)),
     at 2 Hz and beta 20 per metre 16 ms at .4 m/s. `operators.filters.predict.Predict` takes a constant part of it back. Any rate, also
     irregular.
     """
 
-    delays: ClassVar[str] = "none declared; lags by 1 / (2 pi (cutoff_hz + beta speed))"
+    delays: ClassVar[str] = "no declared delay; lags by 1 / (2 pi (cutoff_hz + beta speed))"
     references: ClassVar[str] = "Casiez 2012, with the exact share of a period"
     cutoff_hz: float = param(2.0, above=0.0, help="cut-off at rest")
     beta: float = param(20.0, least=0.0, help="by how many Hz it rises for each unit per second")

@@ -47,7 +47,7 @@ class Predict(Filter[SlopeState]):
     turns, by `ahead_s` times the change of speed; noise grows by up to 1 + ahead_s / tau_s times the square root of two.
     """
 
-    delays: ClassVar[str] = "none; takes back `ahead_s` of lag"
+    delays: ClassVar[str] = "no delay; takes back `ahead_s` of lag"
     references: ClassVar[str] = "linear extrapolation"
     ahead_s: float = param(1 / 30, least=0.0, most=0.5, help="how far ahead: one frame at 30 Hz")
     tau_s: float = param(0.05, above=0.0, help="over how long the speed is smoothed")

@@ -86,12 +86,12 @@ class Threshold(Operator[ThresholdState]):
     onset     an event when an interval begins, decided once it has lasted `min_duration_s`: field onset (ns)
     interval  an event when it has ended: onset and end (ns), and the furthest value between them
 
-    Events are stamped with the sample at which they were decided; no other delay. An interval whose beginning was not seen (at the start,
+    Events are stamped with the sample at which they were decided; no other delay. An interval with an unseen beginning (at the start,
     after a gap) is not reported. After an interval's end, crossings within `refractory_s` are passed over: the channel must fall back and
     cross once more. Bad samples change nothing. Works at any rate; every gap makes lost = -1 on both outputs.
     """
 
-    delays: ClassVar[str] = "none: stamped when decided"
+    delays: ClassVar[str] = "no delay: stamped when decided"
     outputs: ClassVar[tuple[str, ...]] = ("onset", "interval")
     takes = "rows"
     level: float = param(help="an interval begins where this is reached, in the channel's unit")
@@ -148,10 +148,10 @@ class Threshold(Operator[ThresholdState]):
             chunk.data, time, state.channel, state.levels, state.waits, state.now, state.peak, events, peaks
         )
         if not made:
-            none = np.empty(0, np.int64)
+            empty = np.empty(0, np.int64)
             return [
-                ("onset", Chunk(none, np.empty(0, ONSET), chunk.until, lost)),
-                ("interval", Chunk(none, np.empty(0, INTERVAL), chunk.until, lost)),
+                ("onset", Chunk(empty, np.empty(0, ONSET), chunk.until, lost)),
+                ("interval", Chunk(empty, np.empty(0, INTERVAL), chunk.until, lost)),
             ]
         ended = events[:made, 2] >= 0
         onset = _rows(ONSET, onset=events[:made][~ended, 1])

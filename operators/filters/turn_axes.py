@@ -1,4 +1,4 @@
-"""Points in other axes, and what declares the axes of points whose source cannot."""
+"""Turns points into other axes, and declares axes for sources that cannot."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class TurnAxesState:
 class TurnAxes(SampleWise[TurnAxesState]):
     """Points (points, 3) in other axes: what is up stays up, and what is forward stays forward. No delay; any rate.
 
-    The input's axes are those that it declares. One that declares none, such as a table of markers or an LSL stream, is in the axes that
-    `from_up` and `from_forward` say. Where one of both forward axes is not known, x stays x if it can. What comes out declares its axes.
+    The input's axes are those that it declares. An input without axes, such as a table of markers or an LSL stream, is in the axes that
+    `from_up` and `from_forward` say. Where one of both forward axes is not known, x stays x if it can. The output declares its axes.
     A signal with x, y and z of each marker, in this order, is taken as well.
 
     >>> TurnAxes(from_up="z")(np.array([[[1.0, 2.0, 3.0]]]), rate_hz=100)
@@ -79,7 +79,7 @@ class TurnAxes(SampleWise[TurnAxesState]):
         return _axes("forward", self.up, self.forward)
 
     def _own(self, spec: StreamSpec) -> Axes:
-        """The input's axes. Raises ParameterError where they are not known, or said twice."""
+        """The input's axes. Raises ParameterError if they are unknown, or given twice."""
         declared = Axes.of(spec)
         if declared and self.from_up not in (None, declared.up):
             raise ParameterError("from_up", self.from_up, f"left out: the input declares {declared.describe()}")

@@ -56,5 +56,5 @@ def watch(spec: StreamSpec, *, delay_s: float = 0.0, reset_gap_s: float = 0.0) -
 
 
 def back(until: int, delay_ns: int) -> int:
-    """A promise about the input, as a promise about an output whose stamps are `delay_ns` earlier."""
+    """Converts a promise about the input to one about an output with stamps `delay_ns` earlier."""
     return until - delay_ns if NEVER < until < FOREVER else until

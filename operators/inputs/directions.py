@@ -11,7 +11,7 @@ TURN = "in other axes: operators.filters.turn_axes.TurnAxes turns them"
 
 
 def axes_of(spec: StreamSpec, up: str | None, usual: Up) -> Axes:
-    """The axes of an input whose `up` a parameter may say. Raises ParameterError where it contradicts what the stream declares."""
+    """The axes of an input, with `up` from a parameter. Raises ParameterError if it contradicts the stream's declaration."""
     declared = Axes.of(spec)
     if declared and up not in (None, declared.up):
         raise ParameterError("up", up, f"left out: the input declares {declared.describe()}")

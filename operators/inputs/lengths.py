@@ -11,7 +11,7 @@ CM = {"m": 100.0, "cm": 1.0, "mm": 0.1, "": 1.0}
 
 
 def length_of(spec: StreamSpec, port: str = "in") -> str:
-    """The one unit of a stream of positions; "" where it names none. Raises InputError."""
+    """The one unit of a stream of positions; "" if it has no unit. Raises InputError."""
     numeric(spec, port)
     unit = spec.units[0] if len(set(spec.units)) == 1 else "?"
     if unit not in CM:
@@ -20,5 +20,5 @@ def length_of(spec: StreamSpec, port: str = "in") -> str:
 
 
 def metres(unit: str) -> float:
-    """What turns positions of this unit into metres; 1 where none is named."""
+    """The factor from this unit to metres; 1 without a unit."""
     return CM[unit or "m"] / 100.0

@@ -15,7 +15,7 @@ COORDINATE = re.compile(r"(.+?)[ _.:/-]?([xyz])", re.IGNORECASE)
 def marker_columns(spec: StreamSpec, marker: str, parameter: str) -> tuple[int, int, int]:
     """The columns of a sample laid flat that hold x, y and z of `marker`: its name, or its number from 0.
 
-    Takes markers (points, 3), whose channels are the markers' names, or a signal (3 points,), whose channels are named after
+    Takes markers (points, 3) with the markers' names as channels, or a signal (3 points,) with channels named after
     marker and coordinate: LANK_x, LANK.x, LANKx.
     """
     if spec.is_event or spec.dtype.kind not in "iuf" or not _is_markers(spec):

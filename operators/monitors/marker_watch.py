@@ -1,4 +1,4 @@
-"""Alarms about markers whose labels are another's: they leap, or the segment to their neighbour has another length."""
+"""Alarms about swapped marker labels: a marker leaps, or a segment changes its length."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ class MarkerWatch(Operator[MarkerWatchState]):
     """Markers in, an alarm for each that has probably taken another's label, and for each segment that has another length.
 
     leap      a marker is `jump_m` (and 100 m/s2 times the square of the time between samples) from where its speed takes it, and stays
-              there for 0.05 s: a ghost of fewer samples is none. Where it lands within 0.1 m of where another marker just was, the alarm
-              names that one. Told after 0.05 s. Over once the marker's segments have had their length for 2 s; of a marker without
-              segments nobody knows. Across a pause of more than 0.05 s a leap is not looked for.
+              there for 0.05 s: a shorter ghost does not count. Where it lands within 0.1 m of where another marker just was, the alarm
+              names that one. Reported after 0.05 s. Over once the marker's segments have had their length for 2 s; of a marker without
+              segments never. Across a pause of more than 0.05 s a leap is not looked for.
     segment   the distance of two markers on one bone differs by more than `stretch` from its usual one for 0.1 s: the mean of its first
               second. Labels that are swapped from the start are seen as the two feet part. Over after 2 s, or once it keeps another
               length for a second. Skin moves: heel or ankle to toe varies by up to 13 % in sound walks.
@@ -95,11 +95,11 @@ class MarkerWatch(Operator[MarkerWatchState]):
         s, since, kind = self.state, int(row["since"]), int(row["kind"])
         if kind in (JUMP, JUMP_OVER):
             where = f", to where {s.names[row['other']]} was" if row["other"] >= 0 else ""
-            told = f"leapt by {row['value']:.2f} m{where}" if kind == JUMP else "leapt"
-            return since, s.names[row["which"]], ON if kind == JUMP else OVER, told, LEAPT if kind == JUMP else ""
+            text = f"leapt by {row['value']:.2f} m{where}" if kind == JUMP else "leapt"
+            return since, s.names[row["which"]], ON if kind == JUMP else OVER, text, LEAPT if kind == JUMP else ""
         a, b = (s.names[k] for k in s.ends[row["which"]])
-        told = f"{row['value']:.1f} times as long as at first" if kind == LENGTH else "another length than at first"
-        return since, f"{a}-{b}", ON if kind == LENGTH else OVER, told, LONGER if kind == LENGTH else ""
+        text = f"{row['value']:.1f} times as long as at first" if kind == LENGTH else "another length than at first"
+        return since, f"{a}-{b}", ON if kind == LENGTH else OVER, text, LONGER if kind == LENGTH else ""
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

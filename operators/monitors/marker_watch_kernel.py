@@ -10,7 +10,7 @@ from kinegraph.stream.kernel import kernel
 JUMP, LENGTH, LENGTH_OVER, JUMP_OVER = range(4)
 FOUND = np.dtype([("kind", "<i8"), ("which", "<i8"), ("sample", "<i8"), ("since", "<i8"), ("value", "<f8"), ("other", "<i8")])  # fmt: skip
 """What happened to which marker or segment, with which sample, since when (ns); how far it leapt (m), or the segment's length over what
-it was; and the marker that was where it leapt to (-1: none)."""
+it was; and the marker that was where it leapt to, or -1."""
 
 TRACK = np.dtype([
     ("known", "<i8"), ("at", "<i8"), ("before", "<i8"), ("here", "<f8", (3,)), ("there", "<f8", (3,)),
@@ -28,13 +28,13 @@ BONE = np.dtype([
 when it has another length, and since when its own (NEVER: it has not); whether an alarm lasts."""
 
 JUMP_M, PAUSE_S, STRETCH, FIRST_S, LASTS_S, CALM_S = range(6)
-"""The limits: how far a leap goes (m), the longest pause that is none (s); by which part of its length a segment may differ, how long it is
+"""The limits: how far a leap goes (m), the longest pause to ignore (s); by which part of its length a segment may differ, how long it is
 watched first, for how long it must have another length, and its own again (s)."""
 
 SPEED_M_S, SWAY_M_S2 = 10.0, 100.0
-"""A marker whose speed is not known yet moves no faster; one whose speed is known changes it no faster."""
+"""A marker of unknown speed moves no faster; one of known speed changes it no faster."""
 NEAR_M = 0.1
-"""A marker that leaps lands so near to the one whose name it has got."""
+"""A marker that leaps lands this near to the one it was mistaken for."""
 
 
 @kernel
@@ -147,7 +147,7 @@ def note(found: Array, made: int, kind: int, which: int, sample: int, since: int
 
 @kernel
 def nearest(place: Samples, k: int, was: Samples) -> int:
-    """Which other marker was where marker `k` is now; -1: none."""
+    """The other marker that was where marker `k` is now, or -1."""
     other, least = -1, NEAR_M
     for j in range(was.shape[0]):
         apart = between(place, was[j])

@@ -1,4 +1,4 @@
-"""Alarms about muscles whose curve has become that of another (swapped leads), or much larger or smaller than at first."""
+"""Alarms about muscles with the curve of another muscle (swapped leads), or with a much larger or smaller one than at first."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class PatternWatchState:
     """
     first (100, m), taken (m,)   sum of each muscle's first cycles, and how many
     recent (k, 100, m), seen (m,) the latest cycles, rings
-    on, agreed (m,)              the muscle whose pattern each has (-1: its own), and cycles in a row that say otherwise
-    sized (2, 2, m)              of size and rest: 1: another than at first; cycles in a row that say otherwise
+    on, agreed (m,)              the muscle whose pattern each has (-1: its own), and cycles in a row that disagree
+    sized (2, 2, m)              of size and rest: 1: another than at first; cycles in a row that disagree
     level (100, m), within (m,)  sum of each muscle's first cycles in the stage under way; how many it has in it;  stage: of each limb
     newest (l,)                  the highest number of each limb's cycles: one that is reported again counts once
     """
@@ -56,12 +56,12 @@ class PatternWatchState:
 
 @dataclass(frozen=True, slots=True)
 class PatternWatch(Operator[PatternWatchState]):
-    """Cycles and their events in, an alarm for each muscle whose curve has become that of another of the same limb, or has another size.
+    """Raises an alarm for each muscle with the curve of another of the same limb, or with another size.
 
     A muscle's pattern is the mean of its first `first` cycles. It has become another's where the mean of its latest `latest` cycles
     correlates by `clearly` more with the other's pattern than with its own, and by 0.7 at least, in `cycles` cycles in a row; the alarm is
-    over when it has been its own again for as long. Told `latest` / 2 + `cycles` cycles after a swap or so. Muscles that are alike from the
-    start are not told apart. A muscle has another size where the mean of its latest cycles' curves is `times` as high as that of its first
+    over when it has been its own again for as long. It takes about `latest` / 2 + `cycles` cycles. Muscles that are alike from the
+    start stay alike. A muscle has another size where the mean of its latest cycles' curves is `times` as high as that of its first
     ones or more, or as much lower, for as many cycles in a row; over below half of that change. Its rest, that curve's 10th
     percentile, but at least 0.5 % of the first curve's peak, is compared in the same way (`times_rest`): noise that is small beside a
     burst. A muscle has one alarm at a time, and another's pattern replaces another size or rest. Where `closed` has stages
@@ -87,9 +87,9 @@ class PatternWatch(Operator[PatternWatchState]):
         ways = max(1, len(limbs.names))
         self.set_state(
             PatternWatchState(
-                Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((self.latest, POINTS, m)),
+                Expected.empty(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((self.latest, POINTS, m)),
                 np.zeros(m, np.int64), np.full(m, -1), np.zeros(m, np.int64), np.zeros((2, 2, m), np.int64),
-                np.zeros((POINTS, m)), np.zeros(m, np.int64), StageUnderWay.none(ways), np.full(ways, -1), limbs,
+                np.zeros((POINTS, m)), np.zeros(m, np.int64), StageUnderWay.empty(ways), np.full(ways, -1), limbs,
                 list(spec.channels),
             ),
             decision_s={"out": longest_s} if longest_s else None,
@@ -175,9 +175,9 @@ class PatternWatch(Operator[PatternWatchState]):
         if sized[1, i] >= self.cycles and not (other and explained):
             sized[:, i] = int(other), 0
             what, over, advice = MEASURES[kind]
-            told = f"{what} is {ratio:.2g} times as high as at first" if other else over
+            text = f"{what} is {ratio:.2g} times as high as at first" if other else over
             found.append(
-                (when[0], (when[1], self.state.names[i], ON if other else OVER, told, advice if other else ""))
+                (when[0], (when[1], self.state.names[i], ON if other else OVER, text, advice if other else ""))
             )
 
     def _tell(self, found: FoundAlarms, when: tuple[int, int], i: int, like: int) -> None:

@@ -41,12 +41,12 @@ SOFT = 10
 
 
 def muscle_called(channel: str) -> str:
-    """The textbook's muscle that a channel is named after, with or without its side; "" where it is none of them."""
+    """The textbook's muscle that a channel is named after, with or without its side; "" for other channels."""
     return _parts(channel)[0]
 
 
 def side_called(channel: str) -> str:
-    """The side that a channel's name states, left or right; "" where it states none."""
+    """The side that a channel's name states, left or right; "" without one."""
     side = _parts(channel)[1]
     return {"L": "left", "R": "right", "": ""}[side[:1]]
 
@@ -74,7 +74,7 @@ def _known(name: str) -> str:
 
 
 def textbook_pattern(muscle: str) -> Samples:
-    """(100,) between 0 and 1: when this muscle works, with soft edges; zeros for none."""
+    """(100,) between 0 and 1: when this muscle works, with soft edges; zeros for an unknown one."""
     pattern = np.zeros(POINTS)
     if muscle in WORKS_PCT:
         pattern[np.arange(*WORKS_PCT[muscle]) % POINTS] = 1.0

@@ -9,12 +9,12 @@ import numpy as np
 from kinegraph.stream.chunk import Array, Samples, Times
 
 ANOTHER_SPEED_M_S = 0.1
-"""A belt whose speed differs by more has another speed; less is a belt's unevenness under a foot."""
+"""A larger difference is another belt speed; a smaller one is the belt's unevenness under a foot."""
 
 
 @dataclass(slots=True)
 class StageUnderWay:
-    """Of each limb (l,): its stage and the belt's speed in m/s (NaN: not known), and the number of the first cycle in it; -1: none yet.
+    """Of each limb (l,): its stage and the belt's speed in m/s (NaN: not known), and the number of the first cycle in it; -1 before.
 
     Cycles' events without the fields `stage` and `speed_m_s` (`operators.cycles.stages.Stages`) are of one stage.
     """
@@ -24,12 +24,12 @@ class StageUnderWay:
     since: Times
 
     @staticmethod
-    def none(limbs: int) -> StageUnderWay:
+    def empty(limbs: int) -> StageUnderWay:
         return StageUnderWay(np.zeros(limbs, "<U32"), np.full(limbs, np.nan), np.full(limbs, -1))
 
     def begins(self, limb: int, closed: np.void) -> bool:
-        """Whether another stage has begun for a limb with this cycle. A cycle across two stages is of none, and what comes back of an
-        earlier stage (`holds`) begins none."""
+        """Whether another stage has begun for a limb with this cycle. A cycle across two stages counts for neither; a returning one of an
+        earlier stage (`holds`) begins no stage."""
         number = int(closed["number"])
         if "stage" not in (closed.dtype.names or ()) or number < self.since[limb]:
             return False

@@ -82,13 +82,13 @@ class TimingWatch(Operator[TimingWatchState]):
     contacts later    a limb's curves have moved against those of its first `first` cycles (of the stage, where `closed` has stages): the
                       lag with the highest circular correlation, to a part of a point, the median of the limb's muscles; its mean over
                       the latest `latest` cycles is `off_pct` of the cycle or more, and `sds` times its own standard error. Over below
-                      half of that. One muscle of several that works later is none; of one muscle alone it is not known which moved.
+                      half of that. One muscle of several that works later is no alarm; for a single muscle it is unknown which one moved.
     half a cycle off  a limb's muscles (two or more that the textbook knows, by their names) fit it better by `clearly` half a cycle later,
                       in the mean of their correlations: the contacts may be the other leg's
     another muscle's  a muscle fits the textbook's pattern of another better than its own, by `clearly` + 0.2, and by 0.6 at least
 
-    Both latter use the mean of the latest `latest` cycles, from the third on, so they hold from the start; there are none with more than
-    two limbs, nor for a channel whose name states the other side than the contacts' (RTA in the left leg's cycles), or no muscle that the
+    Both latter use the mean of the latest `latest` cycles, from the third on, so they hold from the start; they do not exist with more than
+    two limbs, nor for a channel named after the other side than the contacts' (RTA in the left leg's cycles), or no muscle that the
     textbook has (then `muscles` says which it is; the report names those that are not watched so). Each alarm comes when
     `cycles` cycles in a row agree, and once more when it is over; the onset of one about contacts is that of the cycle with which the
     change began, as its latest cycles show. A cycle half a cycle off has no lag. Patterns and their source:
@@ -126,10 +126,10 @@ class TimingWatch(Operator[TimingWatchState]):
         )
         self.set_state(
             TimingWatchState(
-                Expected.none(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((ways, self.latest)),
+                Expected.empty(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((ways, self.latest)),
                 np.zeros(ways, np.int64), np.zeros((ways, 3)), np.zeros((self.latest, POINTS, m)), np.zeros(m, np.int64),
-                np.zeros((ways, 2, 2), np.int64), np.zeros((m, 2), np.int64), LatestCycles.none(ways, 2), np.full(ways, -1),
-                np.zeros((ways, 2), np.int64), np.zeros(ways), StageUnderWay.none(ways), limbs, list(spec.channels), known,
+                np.zeros((ways, 2, 2), np.int64), np.zeros((m, 2), np.int64), LatestCycles.empty(ways, 2), np.full(ways, -1),
+                np.zeros((ways, 2), np.int64), np.zeros(ways), StageUnderWay.empty(ways), limbs, list(spec.channels), known,
                 np.stack([textbook_pattern(name) for name in known], axis=1),
             ),
             decision_s={"out": longest_s} if longest_s else None,
@@ -208,7 +208,7 @@ class TimingWatch(Operator[TimingWatchState]):
         other = int(abs(mean) >= max(least, self.sds * error))
         towards = np.sign(mean if other else s.lag[limb])
         size = abs(mean) if other else abs(float(s.lag[limb]))
-        told = f"contacts {abs(mean):.1f} % of the cycle {'earlier' if mean > 0 else 'later'} than at first"
+        text = f"contacts {abs(mean):.1f} % of the cycle {'earlier' if mean > 0 else 'later'} than at first"
         s.lag[limb] = mean if other else s.lag[limb]
         scores = towards * s.past.latest(limb)[1][:, 1] - size / 2
         self._contacts(
@@ -218,7 +218,7 @@ class TimingWatch(Operator[TimingWatchState]):
             SHIFT,
             other,
             scores if other else -scores,
-            (self._who(limb), told, OVERS[SHIFT], SHIFTED),
+            (self._who(limb), text, OVERS[SHIFT], SHIFTED),
         )
 
     def _textbook(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array) -> None:
@@ -245,30 +245,30 @@ class TimingWatch(Operator[TimingWatchState]):
             best = int(like[k].argmax())
             other = not s.limb[limb, HALF, 0] and not half and like[k, best] >= max(ALIKE, own[k] + self.clearly + 0.2)
             name = s.known[known[best]] if other else ""
-            told = f"its curve is rather that of {name}", "its curve is another muscle's", OTHER_MUSCLE
-            self._tell(found, when, s.muscle[i], int(known[best]) + 1 if other else 0, (s.names[i], *told))
+            text = f"its curve is rather that of {name}", "its curve is another muscle's", OTHER_MUSCLE
+            self._report(found, when, s.muscle[i], int(known[best]) + 1 if other else 0, (s.names[i], *text))
 
     def _contacts(
         self, found: FoundAlarms, when: tuple[int, int], limb: int, kind: int, now: int, scores: Samples,
-        said: tuple[str, str, str, str],
+        words: tuple[str, str, str, str],
     ) -> None:  # fmt: skip
         """An alarm about a limb's contacts, or its end. `scores` of its latest cycles: positive ones agree with what is so now. The change
         began after the cycle with which the one before it was reported."""
         s, onsets = self.state, self.state.past.latest(limb)[0]
         before, later = int(s.limb[limb, kind, 0]), onsets > s.decided[limb, kind]
         began = int(onsets[later][changed_at(scores[later])])
-        self._tell(found, (when[0], began), s.limb[limb, kind], now, said)
+        self._report(found, (when[0], began), s.limb[limb, kind], now, words)
         if s.limb[limb, kind, 0] != before:
             s.decided[limb, kind] = when[1]
 
-    def _tell(
-        self, found: FoundAlarms, when: tuple[int, int], alarm: Times, now: int, said: tuple[str, str, str, str]
+    def _report(
+        self, found: FoundAlarms, when: tuple[int, int], alarm: Times, now: int, words: tuple[str, str, str, str]
     ) -> None:
-        """`alarm` (2,): what is on, and cycles in a row that say otherwise. `said`: about whom, what, what when it is over, what to do."""
+        """`alarm` (2,): what is on, and cycles in a row that disagree. `words`: about whom, what, what when it is over, what to do."""
         alarm[1] = 0 if now == alarm[0] else alarm[1] + 1
         if alarm[1] >= self.cycles:
             alarm[:] = now, 0
-            who, what, over, advice = said
+            who, what, over, advice = words
             found.append((when[0], (when[1], who, ON if now else OVER, what if now else over, advice if now else "")))
 
     def _who(self, limb: int) -> str:

@@ -46,8 +46,8 @@ class _BareNames(AttributeTemplate):
     key = BareType
 
     def generic_resolve(self, typ: Any, name: str) -> Any:  # type: ignore[override]
-        told = BareIndex.__annotations__.get(name)
-        return _int if told == "int" else _pointers.get(told)
+        kind = BareIndex.__annotations__.get(name)
+        return _int if kind == "int" else _pointers.get(kind)
 
 
 def _base(context: Any, builder: Any, typ: Any, index: Any, name: str) -> Any:
@@ -62,13 +62,13 @@ def _number(context: Any, builder: Any, typ: Any, index: Any, name: str) -> Any:
 
 
 def _get(context: Any, builder: Any, typ: Any, index: Any, name: str) -> Any:
-    told = BareIndex.__annotations__[name]
+    kind = BareIndex.__annotations__[name]
     if name in ("floats", "books"):
         return _base(context, builder, typ, index, name)
-    if told == "int":
+    if kind == "int":
         return builder.load(_number(context, builder, typ, index, name))
     begins = builder.load(_number(context, builder, typ, index, f"{name}_at"))
-    return builder.gep(_base(context, builder, typ, index, "floats" if told == "Floats" else "books"), [begins])
+    return builder.gep(_base(context, builder, typ, index, "floats" if kind == "Floats" else "books"), [begins])
 
 
 def _set(context: Any, builder: Any, signature: Any, args: Any, name: str) -> None:

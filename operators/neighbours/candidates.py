@@ -129,7 +129,7 @@ def rank(ix: BareIndex, count: int) -> None:
 
 @kernel
 def radius_squared(radius: float) -> np.float32:
-    """The largest d2 whose root, rounded to float32, is at most the radius in float32: so d <= r holds for what is reported.
+    """The largest d2 with a root, rounded to float32, of at most the radius in float32: so d <= r holds for what is reported.
 
     Negative for no radius: NaN, or below 0.
     """

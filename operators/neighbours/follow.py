@@ -60,7 +60,7 @@ def take_marked(ix: BareIndex, within: np.float32, made: int, frames: Times, dis
 
 @kernel
 def follow(floats: Floats, books: Times, x: Samples, band: int, radius: float, frames: Times, distances: Array) -> None:
-    """Insert each of `x` (n, width) with its `radius` (NaN: none), and write its nearest into `frames` and `distances` (n, k)."""
+    """Insert each of `x` (n, width) with its `radius` (NaN: no radius), and write its nearest into `frames` and `distances` (n, k)."""
     ix = bare_index(floats, books)
     reach = radius_squared(radius)
     for i in range(x.shape[0]):
@@ -134,7 +134,7 @@ def ask_nearest(floats: Floats, books: Times, x: Samples, at: int, band: int, fr
 
 @kernel
 def ask_within(floats: Floats, books: Times, x: Samples, at: int, band: int, radius: float, both: bool) -> int:
-    """Mark all within a radius of `x` (width,), or, if it is empty, of the newest frame, to be told by `tell_within`; returns how many."""
+    """Mark all within a radius of `x` (width,), or, if it is empty, of the newest frame, for `tell_within` to report; returns how many."""
     ix = bare_index(floats, books)
     good = prepare(ix, x) if len(x) else recall(ix)
     return search(ix, at, band, 0, radius_squared(radius), both) if good else 0

@@ -36,13 +36,13 @@ class Index:
             frames, distances = index.nearest(32, band=30)
 
     Frames are numbered from 0 as they are inserted. A frame is rounded to float32 when it comes in; one with a value that is not finite, or
-    beyond 1e18, takes its number and its turn but is never a neighbour, and has none. The distance is the root of the sum over w (x - q)^2,
+    beyond 1e18, takes its number and its turn but neither is nor has a neighbour. The distance is the root of the sum over w (x - q)^2,
     summed in float32 in the order of the features (`distance.py` states the rule to the bit). Nearest first; of two equally near frames
-    the older one comes first, and is the one that is kept. Within a radius are those whose reported distance is at most the radius
+    the older one comes first, and is the one that is kept. Within a radius are those with a reported distance of at most the radius
     rounded to float32. So the answer is one, on every path, and that of a plain loop over all frames.
 
     `vector=False` takes plain loops instead of vector code: slower, the same bits. Memory does not change after the first line; no call
-    allocates but for what it returns, and none rebuilds anything. An index belongs to one thread. Raises NeighbourError.
+    allocates but for what it returns, and no call rebuilds anything. An index belongs to one thread. Raises NeighbourError.
     """
 
     def __init__(self, width: int, window: int, most: int = 32, *, vector: bool = True) -> None:
@@ -108,7 +108,7 @@ class Index:
     def nearest(self, k: int, x: ArrayLike | None = None, *, at: int | None = None, band: int = 0) -> Nearest:
         """The k nearest of `x` (width,), or of the newest frame; fewer if there are fewer.
 
-        Frames whose number is at most `band` from `at` (left out: the newest frame's number) are passed over: 0 leaves out the
+        Frames numbered at most `band` from `at` (left out: the newest frame's number) are passed over: 0 leaves out the
         frame itself, -1 nothing.
         """
         s, k = self.state, self._few(k)
@@ -122,7 +122,7 @@ class Index:
     ) -> Nearest:
         """All within `radius` of `x`, or of the newest frame, oldest first; `at` and `band` as in `nearest`.
 
-        With `both`, also the frames in whose own radius (see `insert`) it lies; `within_ways` tells which is the case.
+        With `both`, also the frames that have it in their own radius (see `insert`); `within_ways` tells which is the case.
         """
         frames, distances, _ = self.within_ways(radius, x, at=at, band=band, both=both)
         return frames, distances

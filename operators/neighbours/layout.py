@@ -71,7 +71,7 @@ class BareIndex:
     near_squared: Floats  # (many,) squared distances of the nearest, in order; many: most, at least COUNTED
     warm_sums: Floats  # (most + 3, 16) the sums of the tiles that were looked into first
     squared: Floats  # (blocks * block,) squared distance of a frame that was marked (scan.py: of any), by its number modulo that length
-    reach: Floats  # (slots,) square of every frame's own radius, -1: none
+    reach: Floats  # (slots,) square of every frame's own radius, or -1
     group_reach: Floats  # (groups,) the largest of each group
     tiles: Floats  # (tiles, 1 + width, 16)
     group_boxes: Floats  # (groups, 1 + 2 width, 16)
@@ -101,7 +101,7 @@ class BareIndex:
     queries: int  # counts them
     plain: int  # for how many more queries the boxes are left aside
     spare: int  # the spare block; -1: blocks are not sealed
-    sealing: int  # the block that is being sealed; -1: none
+    sealing: int  # the block that is being sealed, or -1
     stage: int  # what is being done with it (seal.py)
     part_size: int  # frames in the part of it that is being sorted
     part_from: int  # the first of them

@@ -31,14 +31,14 @@ WITHIN = np.dtype(
     ]
 )
 LARGEST = float(np.finfo(np.float32).max)
-"""A weight or a radius beyond this is none that float32 can hold."""
+"""float32 cannot hold a weight or a radius beyond this."""
 Found: TypeAlias = list[tuple[Times, Array]]
 """Pieces of the output `within`: stamps (m,) and events (m,)."""
 
 
 @dataclass(slots=True)
 class NeighboursState(Continuity):
-    """index: see layout.py; stamps (2 window,) of frames, by number modulo that length; band: in frames; radius: NaN if there is none."""
+    """index: see layout.py; stamps (2 window,) of frames, by number modulo that length; band: in frames; radius: NaN without one."""
 
     index: IndexState
     stamps: Times
@@ -61,8 +61,8 @@ class Neighbours(Operator[NeighboursState]):
 
     Frames are numbered from 0 as they come, bad ones too; an input's stamp counts as before any later frame's, and as after one of the same
     time. Frames less than `band_s` away, counted in frames, are passed over. Distances are Euclidean in float32, exact, with one rule for
-    ties: `docs/method/neighbours.md`. A frame with a bad value is no neighbour. Weights or a radius that are not finite, or
-    negative, are passed over.
+    ties: `docs/method/neighbours.md`. A frame with a bad value is never a neighbour. Weights or a radius that are not finite, or negative, are
+    passed over.
 
     No delay. Memory: some (4.6 width + 50) bytes per frame of the window and some 1000 frames more, all of it from the start; nothing is
     ever rebuilt as a whole.
@@ -78,8 +78,10 @@ class Neighbours(Operator[NeighboursState]):
 
     window_s: float = param(60.0, above=0.0, help="how far back to search for neighbours")
     k: int = param(32, least=0, most=1024, help="how many nearest are given with every frame")
-    within: float | None = param(None, least=0.0, help="radius, in the features' unit; left out: none until the input")
-    both: bool = param(False, help="also neighbours whose own radius contains the frame")
+    within: float | None = param(
+        None, least=0.0, help="radius, in the features' unit; left out: no radius until the input"
+    )
+    both: bool = param(False, help="also neighbours that have the frame in their own radius")
     band_s: float = param(1.0, least=0.0, help="frames less far away in time are passed over; 0: only the frame itself")
     weights: tuple[float, ...] | None = param(None, least=0.0, help="one per feature; left out: 1 each")
     reset_gap_s: float = reset_gap(60.0)

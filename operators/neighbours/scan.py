@@ -45,7 +45,7 @@ def scan(ix: BareIndex, at: int, band: int, k: int, within: np.float32, both: bo
 
 @kernel
 def successors_limit(ix: BareIndex, at: int, k: int) -> np.float32:
-    """The largest sum of the frames after the nearest of the query before: if these are k, none of the k nearest is farther."""
+    """The largest sum of the frames after the nearest of the query before: if these are k, all k nearest are within it."""
     ring, sums, first, last, warm = ix.slots, ix.squared_at, oldest(ix), ix.next, ix.warm
     later = at - ix.warm_frame
     turn = first - first % ring

@@ -150,7 +150,7 @@ def copy_tile(ix: BareIndex) -> None:
 
 @kernel
 def cover_group(ix: BareIndex) -> None:
-    """The box over the next group of the spare block. Its lane stays infinite until the swap, so that nobody looks into it."""
+    """The box over the next group of the spare block. Its lane stays infinite until the swap, so no search enters it."""
     width = ix.width
     rows = (1 + 2 * width) * LANES
     group = ix.spare * ix.block // GROUP + ix.part_done

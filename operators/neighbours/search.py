@@ -29,10 +29,10 @@ MOST_SURVIVE, PLAIN_FOR = 0.9, 15
 def search(ix: BareIndex, at: int, band: int, k: int, within: np.float32, both: bool) -> int:
     """Find the k nearest of the frame that was prepared, and mark all with d2 <= `within`; returns how many were marked.
 
-    at, band  frames whose number is at most `band` from `at` are passed over (band -1: none)
+    at, band  frames numbered at most `band` from `at` are skipped (band -1: skip nothing)
     k         how many, 0 to MOST; they stand afterwards at AT_NEAR and IN_NEAR, in order, NEAR of them
     within    square of the radius; negative: nothing is marked for being near
-    both      mark also the frames in whose own radius this one lies
+    both      mark also the frames that have this one in their own radius
 
     As the frame asked about is usually the newest, `at` is its number; else any.
     """
@@ -71,7 +71,7 @@ def visit_successors(
 ) -> tuple[np.float32, int]:
     """Look into the tiles of the frames that came after the nearest of the query before; returns a limit for d2, and how many were marked.
 
-    Where k such frames live, none of the k nearest is farther than the farthest of them.
+    Where k such frames live, the k nearest are at most as far as the farthest of them.
     """
     first, last, later = oldest(ix), ix.next, at - ix.warm_frame
     bits = lowest(ix.block)
@@ -115,7 +115,7 @@ def visit_successors(
 
 @kernel
 def sum_up(ix: BareIndex, near: Times, tiles: int, sums: int) -> None:
-    """All sums of some tiles, whose numbers are the first of `near`, at place `sums`; four at a time, the last ones once more."""
+    """Writes all sums of the tiles numbered by the start of `near` at place `sums`; four at a time, the last ones once more."""
     for i in range(0, tiles, 4):
         a, b = near[i], near[min(i + 1, tiles - 1)]
         c, d = near[min(i + 2, tiles - 1)], near[min(i + 3, tiles - 1)]
@@ -127,7 +127,7 @@ def sum_up(ix: BareIndex, near: Times, tiles: int, sums: int) -> None:
 def visit_boxes(
     ix: BareIndex, limit: np.float32, at: int, band: int, k: int, within: np.float32, both: bool
 ) -> tuple[int, int]:
-    """Look into all tiles whose box, and whose group's box, is near enough; returns how many frames were marked, tiles seen."""
+    """Search all tiles with a box, and a group's box, near enough; returns how many frames were marked, tiles seen."""
     top_sums, group_sums = ix.scratch_at, ix.scratch_at + LANES
     stride = (1 + 2 * ix.width) * LANES
     marked, looked = 0, 0

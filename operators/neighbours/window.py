@@ -45,7 +45,7 @@ def prepare(ix: BareIndex, x: Samples) -> bool:
 
 @kernel
 def recall(ix: BareIndex) -> bool:
-    """Take the newest frame as the frame in question; False where there is none, or where it is bad."""
+    """Take the newest frame as the frame in question; False if it is missing or bad."""
     newest = ix.next - 1
     if newest < ix.since:
         return False
@@ -60,8 +60,8 @@ def recall(ix: BareIndex) -> bool:
 def insert(ix: BareIndex, good: bool, reach: np.float32) -> None:
     """The frame that was prepared enters, the oldest leaves if the window was full, and a step of sealing is done.
 
-    reach   square of the frame's own radius; NO_REACH: it has none
-    A frame that is not `good` takes its turn, and is nobody's neighbour.
+    reach   square of the frame's own radius; or NO_REACH
+    A frame that is not `good` takes its turn, and is never a neighbour.
     """
     frame = ix.next
     if frame - ix.since >= ix.window:

@@ -28,12 +28,12 @@ TEXTS = {
     "stand": "stand still for a second, facing the camera",
     "follows": "calibrated; the avatar follows you",
     "lost": "the avatar follows with usual bone lengths; it was not calibrated",
-    "gone": "nobody is seen: the avatar keeps its pose",
+    "gone": "no person in view: the avatar keeps its pose",
 }
 STATES = ("waiting", "stand", "follows", "lost", "gone")
 WAITING, STAND, FOLLOWS, LOST, GONE = range(5)
 ASKED, SINCE, PLACED, FLOOR, SCALE, LAST = range(6)
-"""Places in `memory`: which of the states is on; since when (s) somebody is seen without a calibration, 0: nobody; whether it is known
+"""Places in `memory`: which of the states is on; since when (s) a person is in view without a calibration, or 0; whether it is known
 where the avatar stands; the floor's height; the size of the skeleton's legs in the person's; the newest stamp in s."""
 
 
@@ -63,7 +63,7 @@ def stand_here(
 ) -> None:  # fmt: skip
     """From a pose of someone who stands: where that is, how to turn to the front, where the floor is, and how long the legs are.
 
-    `offsets` (22, 3) are those of the skeleton in the spec, whose ankles are `sole` above the floor at rest; `joints` (22, 3) are where the
+    `offsets` (22, 3) are those of the skeleton in the spec, with ankles `sole` above the floor at rest; `joints` (22, 3) are where the
     person's joints are. `work` (3, 4).
     """
     work[0, 0], work[0, 1], work[0, 2] = 1.0, 0.0, 0.0
@@ -182,19 +182,19 @@ class Footing(_Standing):
                 for row in chunk.data:
                     np.copyto(kept, row, where=np.isfinite(row))
             return []
-        out, told = np.empty(chunk.data.shape), list[Array]()
+        out, prompts = np.empty(chunk.data.shape), list[Array]()
         for i, time in enumerate(chunk.time.tolist()):
             pose = np.asarray(chunk.data[i], np.float64)
             if not np.isfinite(pose).all():
                 out[i] = s.newest
                 continue
-            told += self._ask(time, pose)
+            prompts += self._ask(time, pose)
             footed(
                 pose, time / NS, self.seated, self.turn_rad_s, self.tree.offsets, NUMBERS, s.memory, s.origin, s.about,
                 s.turns, s.before, s.local, s.was, np.zeros((8, 4)), out[i],
             )  # fmt: skip
             s.newest[:] = out[i]
-        events = np.array(told, PROMPT)
+        events = np.array(prompts, PROMPT)
         return [
             ("out", Chunk(chunk.time, out, chunk.until, chunk.lost)),
             ("prompt", Chunk(events["onset"].copy(), events, chunk.until, 0)),

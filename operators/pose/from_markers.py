@@ -25,8 +25,8 @@ def solved(
 ) -> Samples | str | None:
     """Poses (k, 91) of markers `rows` (n, points, 3), by geometry, in the samples in which every landmark is seen; of the usual body.
 
-    `given` says which points make up a landmark, where their names do not. Why there are none, of markers of which nothing could be
-    learned: of no unit, of no body, or that show no more of one than the landmarks `chosen`. None for what are no markers.
+    `given` maps landmarks to points, where names do not. Returns a reason for markers of which nothing can be
+    learned: of no unit, of no body, or that show no more of one than the landmarks `chosen`. None for other streams.
     """
     if spec.is_event or len(spec.shape) != 2 or spec.shape[1] != 3 or not spec.channels or "mesh" in spec.meta:
         return None

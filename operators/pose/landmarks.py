@@ -66,7 +66,7 @@ def find_landmarks(spec: StreamSpec, given: Mapping[str, tuple[str, ...]]) -> tu
     if len(found) < 5:
         raise InputError(
             "in",
-            f"{spec.describe()}; its points that are known by their names are {', '.join(found) or 'none'}",
+            f"{spec.describe()}; its points that are known by their names are {', '.join(found) or 'missing'}",
             f"at least 5 points of a body, called as their joints, or named in `landmarks`: {', '.join(NAMES)}",
         )
     rows = [

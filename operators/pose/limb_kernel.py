@@ -87,7 +87,7 @@ def fit_limb(
     joints: Samples,
     work: Samples,
 ) -> None:
-    """Bring a limb of two bones from `first`, whose joint is placed, onto its markers: those of the middle and of the end, where known.
+    """Bring a limb of two bones from `first`, a placed joint, onto its markers: those of the middle and of the end, where known.
 
     The middle joint's marker, or else the turns as they are, say on which side it lies. `work` (6, 4).
     """

@@ -125,7 +125,7 @@ def stand(marks: Samples, seen: Array, present: Array, total: Samples, frames: f
 
 @kernel
 def apart(mean: Samples, present: Array, a: int, b: int) -> float:
-    """The mean distance of landmarks `a` and `b`, left and right; 0 where the stream has none of them."""
+    """The mean distance of landmarks `a` and `b`, left and right; 0 where the stream lacks them."""
     total, n = 0.0, 0
     for side in range(2):
         if present[a + side] and present[b + side]:
@@ -169,19 +169,25 @@ def scale_body(mean: Samples, present: Array, usual: Samples, offsets: Samples) 
     leg, arm = apart(mean, present, HIP_AT, ANKLE_AT), apart(mean, present, SHOULDER_AT, WRIST_AT)
     rate = _rates(usual)
     total = scale = 0.0
-    told = (thigh, shank, upper, lower, trunk_length(mean, present))
+    lengths = (thigh, shank, upper, lower, trunk_length(mean, present))
     if thigh == 0.0 and leg > 0.0:
         share = leg / (rate[0] + rate[1])
-        told = (share * rate[0], share * rate[1], told[2], told[3], told[4])
+        lengths = (share * rate[0], share * rate[1], lengths[2], lengths[3], lengths[4])
     if upper == 0.0 and arm > 0.0:
         share = arm / (rate[2] + rate[3])
-        told = (told[0], told[1], share * rate[2], share * rate[3], told[4])
+        lengths = (lengths[0], lengths[1], share * rate[2], share * rate[3], lengths[4])
     for k in range(5):
-        if told[k] > 0.0:
-            total += told[k]
+        if lengths[k] > 0.0:
+            total += lengths[k]
             scale += rate[k]
     size = total / scale if scale > 0.0 else 1.0
-    factors = (told[0] / rate[0], told[1] / rate[1], told[2] / rate[2], told[3] / rate[3], told[4] / rate[4])
+    factors = (
+        lengths[0] / rate[0],
+        lengths[1] / rate[1],
+        lengths[2] / rate[2],
+        lengths[3] / rate[3],
+        lengths[4] / rate[4],
+    )
     hips = across(mean, present, HIP_AT, HIP_AT + 1) / (2.0 * abs(usual[14, 0]))
     shoulders = across(mean, present, SHOULDER_AT, SHOULDER_AT + 1) / (2.0 * abs(usual[6, 0] + usual[7, 0]))
     offsets[:] = size * usual

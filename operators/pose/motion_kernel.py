@@ -25,8 +25,8 @@ NOISY_M, NOISE_M, MOST_NOISE, RISES, HEARS, AFTER_S, KNOWN_S = 0.007, 0.021, 1.5
 is noisy, and limits are wider by as often as it is the second, at most this many times. It rises by this share a second, takes this share
 of each sample, from half a second on, and is known after two."""
 SLOWLY_S, STAYS_M, STRAYS_M, NOISY_LOW_M, NOISY_LIFTED_M = 0.3, 0.04, 0.05, 0.04, 0.06
-"""Of a marker whose noise is NOISE_M: it comes to stand where it is this near to its own mean of so long, and leaves where it is this
-far from where it stands; the heights for both."""
+"""Of a marker with noise NOISE_M: it comes to rest when this near to its own mean over that time, and leaves when this
+far from its resting place; the heights for both."""
 DRIFTS, DRIFTS_M_S, LEAVES_M_S, NOISY_EASE, NOISY_EASE_M, MOST_EASE_M = 0.05, 0.03, 0.57, 0.5, 0.006, 0.02
 """Where it stands follows the marker by this share a sample, at most so fast, and it is not let go faster than that (m/s); then, as EASE;
 at most this much a sample."""
@@ -223,7 +223,7 @@ def _put(foot: Samples, ankle: Samples, height: float) -> None:
 
 @kernel
 def _put_noisy(foot: Samples, ankle: Samples, dt: float, height: float) -> None:
-    """Put a foot whose marker leaps by itself: by how far it is from its own mean, or from where it stands."""
+    """Put a foot with a noisy marker: by its distance from its own mean, or from its resting place."""
     wide, stood = min(foot[QUIET] / NOISE_M, MOST_NOISE), foot[STANDS] > 0.0
     if stood:
         stray = math.hypot(ankle[0] - foot[LOCK], ankle[2] - foot[LOCK + 2])

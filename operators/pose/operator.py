@@ -191,10 +191,10 @@ class WholePose(_Solving):
 
 def no_regression() -> Regression:
     """Geometry alone, on the usual body."""
-    nothing, none, none_of = np.empty((0, 0)), np.empty(0, np.int64), np.empty(0)
+    nothing, empty, none_of = np.empty((0, 0)), np.empty(0, np.int64), np.empty(0)
     shown = np.empty((0, 3), np.int64)
     return Regression(
-        _room(none, nothing, none_of, shown, nothing, none, none, nothing, nothing, none_of), usual_body()
+        _room(empty, nothing, none_of, shown, nothing, empty, empty, nothing, nothing, none_of), usual_body()
     )
 
 

@@ -38,7 +38,7 @@ def dot(a: Samples, b: Samples) -> float:
 
 @kernel
 def shortest(a: Samples, b: Samples, out: Samples) -> None:
-    """The shortest rotation from the direction of `a` to that of `b` into `out` (4,); none where these are none, or opposite."""
+    """The shortest rotation from the direction of `a` to that of `b` into `out` (4,); identity if one is zero or they are opposite."""
     n = math.sqrt(dot(a, a) * dot(b, b))
     w = n + dot(a, b)
     if n < TINY or w < 1e-6 * n:

@@ -1,4 +1,4 @@
-"""Whether somebody who walks lies along another axis than the one that is said to point up."""
+"""Detects that `up` names the wrong axis, from a walking person."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WALKED_M, LEAST_S, MOST_S = 0.75, 2.0, 10.0
 """Who goes so far across the line from feet to head does not lie. Asked after the second, until the third, of being seen."""
 SEEN, SUM, LOW, HIGH, TOLD, RATE = 0, 1, 4, 7, 10, 11
 """Places in a tally (12,): samples; the sum of directions from feet to head; where the hips were, at least and at most;
-whether it was told; the rate in Hz."""
+whether it was reported; the rate in Hz."""
 AXIS_NAMES = ("x", "y", "z")
 
 
@@ -74,7 +74,7 @@ def upright_along(tree: JointTree, poses: Samples, rate_hz: float) -> str:
 
 
 def warn(tally: Samples, axes: Times, signs: Samples, up: str) -> bool:
-    """Say so if somebody stands along another axis of the input than `up`; returns whether that was said."""
+    """Warn if a person stands along another axis of the input than `up`; returns whether it warned."""
     found = lies_along(tally)
     if found is None:
         return False

@@ -15,7 +15,7 @@ class Calibration:
 
     name     what it is called in every result that was made with it
     unit     of the motion that it is for
-    device   whose counts come out: ami, actigraph or actiwatch
+    device   that it imitates: ami, actigraph or actiwatch
     epoch_s  at which epoch length it holds
     source   who made it, from what
     """

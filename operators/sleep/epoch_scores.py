@@ -47,7 +47,7 @@ class EpochScores:
     waiting: int
 
     @staticmethod
-    def none(rule: ScoringRule, rescore: bool, least_seen: float, epoch_ns: int, n: int) -> EpochScores:
+    def empty(rule: ScoringRule, rescore: bool, least_seen: float, epoch_ns: int, n: int) -> EpochScores:
         missing, zeros = [np.full(n, np.nan) for _ in range(4)], [np.zeros(n, np.int8) for _ in range(2)]
         return EpochScores(
             rule, rescore, least_seen, epoch_ns, np.full(n, NEVER), missing[0], zeros[0], missing[1], zeros[1],
@@ -56,7 +56,7 @@ class EpochScores:
 
     @property
     def newest(self) -> int:
-        """Onset of the newest epoch; NEVER: there is none."""
+        """Onset of the newest epoch; NEVER before the first."""
         return int(self.onset[-1])
 
     def add(self, onset: int, activity: float) -> tuple[Any, ...]:
@@ -76,7 +76,7 @@ class EpochScores:
         return event
 
     def final(self, *, ended: bool) -> tuple[Any, ...] | None:
-        """The final event of the oldest epoch that waits for it; None where none does, or what is to come may change it."""
+        """The final event of the oldest epoch that waits for it; None without one, or while later epochs may change it."""
         if not self.waiting:
             return None
         known = len(self.onset) - self.open

@@ -35,8 +35,8 @@ def gather(x: Samples, sums: Samples) -> None:
 class EpochsState:
     """
     sums    (4, c)  of the open epoch: sum, highest, how many were finite, how many came
-    begin   start of the open epoch (ns); NEVER: none yet
-    silent  how many epochs without any sample have gone by, and how many are filled at most
+    begin   start of the open epoch (ns); NEVER before the first
+    silent  number of past epochs without a sample, and how many are filled at most
     needed  how many samples an epoch must have
     lost    what the next emission says is missing before it
     """

@@ -53,7 +53,7 @@ class GentleAlarm(Operator[GentleAlarmState]):
     window_min: float = param(30.0, above=0.0, most=120.0, help="so long before a movement may give the alarm")
     least_s: float = param(2.0, above=0.0, most=30.0, help="how much movement in an epoch")
     days: str = param("mon,tue,wed,thu,fri,sat,sun", help="on which mornings")
-    sleeper: str = param("", help="whose, where `epochs` are of several")
+    sleeper: str = param("", help="the sleeper, if `epochs` are of several")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["epochs"]

@@ -1,6 +1,6 @@
 """Scorers of sleep and wake: their constants, and the score of one epoch from the activity around it.
 
-Every scorer weighs the activity of an epoch and of its neighbours; none looks at anything but movement. Where a paper prints decimal
+Every scorer weighs the activity of an epoch and of its neighbours; no method uses anything but movement. Where a paper prints decimal
 weights they are kept here as whole numbers over a common denominator, so that a sum that falls exactly on the threshold is decided exactly.
 """
 
@@ -30,8 +30,8 @@ MethodName = Literal[
 class Method:
     """What a scorer takes, and how far it looks.
 
-    device     whose wrist counts it was made for; "": any movement
-    measure    what an epoch's number must be (`Epochs` says so in the stream's meta); "": not asked
+    device     the device that it was made for; "": any movement
+    measure    what an epoch's number must be (`Epochs` writes it into the stream's meta); "": not asked
     epochs_s   the epoch lengths it is defined for
     past, future  how many epochs before and after it looks at (Oakley's depend on the epoch length)
     before     what replaces epochs before the first: "zero" counts; only what was "seen"; or the epoch is "unknown"
@@ -78,7 +78,7 @@ OAKLEY = {
 """By epoch length: the weights in whole numbers, and what a weight of 1 is in them."""
 
 THESIS_ALPHA = 0.3
-"""Ours: the thesis gives none. One epoch in movement amid stillness stays asleep, two in a row are awake (sigma 2)."""
+"""Ours: the thesis gives no value. One epoch in movement amid stillness stays asleep, two in a row are awake (sigma 2)."""
 
 
 @dataclass(slots=True)

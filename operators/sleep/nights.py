@@ -23,10 +23,10 @@ Rows: TypeAlias = list[tuple[int, tuple[Any, ...]]]
 @dataclass(slots=True)
 class NightsState:
     """
-    onset   when the open night began; NEVER: none is open. by: "lights" if they went off then
+    onset   when the open night began; NEVER if closed. by: "lights" if they went off then
     left    when the bed was left; NEVER: somebody is in it. begun, gone: the stamps at which onset and left became known
     state   of the bed, as it was reported last
-    dark    when the lights went off, while nobody is in bed; NEVER: they did not
+    dark    when the lights went off while the bed is empty; NEVER if they are on
     lit     when the lights came on in a night by the lights, which they end unless it is joined; NEVER: they are off
     done    the lights came on and the night was reported; the next begins after the bed was left
     exits   how often the bed was left in the open night; lost: what the next emission says is missing before it
@@ -53,12 +53,12 @@ class Nights(Operator[NightsState]):
     lights  a button, MQTT, `stream.manual.Value`: 0, or a field `on` that is false, is off. May be left out, and forgotten for a night
 
     A night begins when the lights go off (in bed, or at most `apart_h` before), else when somebody goes to bed. It ends when the lights
-    come on, if they went off, else when the bed was left and nobody has come back for `apart_h`: with the moment at which it was left,
-    told that much later. Lights that go off again within `rejoin_min`, or a bed that is left and taken again within that, make it one
+    come on, if they went off, else when the bed was left and stays empty for `apart_h`: with the moment at which it was left,
+    reported that much later. Lights that go off again within `rejoin_min`, or a bed that is left and taken again within that, make it one
     night: a light at three in the morning is a part of it. So an end by the lights is reported `rejoin_min` later.
     `moving` counts the times that the bed was left. Shorter times than `shortest_h` are no night. A bed of which
     nothing is known (the camera is gone) counts as it was before; a night ends `longest_h` after its beginning at the latest. When
-    everything ends while somebody is in bed, the night has no end, and is not told.
+    everything ends while somebody is in bed, the night has no end, and is not reported.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("bed", "lights")
@@ -72,7 +72,7 @@ class Nights(Operator[NightsState]):
     )
     shortest_h: float = param(1.0, least=0.0, help="shorter times in bed are no night")
     longest_h: float = param(20.0, above=0.0, most=36.0, help="longer than this no night is")
-    sleeper: str = param("", help="whose nights, where `bed` is of several")
+    sleeper: str = param("", help="the sleeper, if `bed` is of several")
 
     def open(self, specs: Specs) -> Specs:
         bed = specs["bed"]
@@ -165,7 +165,7 @@ class Nights(Operator[NightsState]):
                     self._tell_by_lights(made)
 
     def _pass(self, until: int, made: Rows) -> None:
-        """End the night whose time has come."""
+        """End the night if it is due."""
         s = self.state
         if s.onset == NEVER:
             return

@@ -20,7 +20,7 @@ PERIOD = np.dtype([("onset", "<i8"), ("end", "<i8"), ("minutes", "<f8"), ("movin
 class PeriodsState:
     """
     asleep, awake  how long the present stretch of sleep or wake is (ns), and when it began; moving: epochs with counts in it
-    onset          when the open period began; NEVER: none is open. inside: epochs with counts in it, up to the present stretch
+    onset          when the open period began; NEVER if closed. inside: epochs with counts in it, up to the present stretch
     """
 
     asleep: int

@@ -23,7 +23,7 @@ class ScoredEpochs:
     count: int
 
     @staticmethod
-    def none(length_ns: int, capacity: int) -> ScoredEpochs:
+    def empty(length_ns: int, capacity: int) -> ScoredEpochs:
         return ScoredEpochs(length_ns, np.zeros(capacity, np.int64), np.zeros(capacity, np.int8), np.zeros(capacity), 0)
 
     @property
@@ -57,7 +57,7 @@ class ScoredEpochs:
         return bool((self.states[: self.count][(onset >= begin) & (onset < end)] != UNKNOWN).any())
 
     def between(self, begin: int, end: int) -> tuple[States, Samples]:
-        """States and activity (n,) of the epochs from `begin` to `end`; what was never told is unknown."""
+        """States and activity (n,) of the epochs from `begin` to `end`; missing ones are unknown."""
         n = round((end - begin) / self.length_ns)
         place = (self.onset[: self.count] + self.length_ns // 2 - begin) // self.length_ns
         here = (place >= 0) & (place < n)

@@ -54,7 +54,7 @@ class ScorerState:
     """
     silent   how many epochs went by without a sample
     calibrated, gain, offset  whether and how motion becomes counts
-    sleeper  whose activity it is; crowded: whether the newest epoch that was told of had a second body
+    sleeper  the sleeper; crowded: whether the newest reported epoch had a second body
     """
 
     scores: EpochScores
@@ -144,7 +144,7 @@ class SleepScorer(Operator[ScorerState]):
         n = made.past + 1 + made.future + 2 * reach
         self.set_state(
             ScorerState(
-                EpochScores.none(made, self.rescore, self.least_seen, spec.period_ns, n), channel,
+                EpochScores.empty(made, self.rescore, self.least_seen, spec.period_ns, n), channel,
                 int(self.reset_gap_s * NS) // spec.period_ns, 0, 0,
                 used is not None, used.gain if used else 1.0, used.offset if used else 0.0,
                 spec.channels[channel] if spec.channels else "", False,
@@ -241,7 +241,7 @@ class SleepScorer(Operator[ScorerState]):
         stamps += [stamp] * (len(made) - len(stamps))
 
     def _crowd(self, sleeper: str, onset: int, crowded: bool) -> None:
-        """An epoch of a sleeper has a second body, or none: where it is the first, movement just before may be the other's."""
+        """Note whether a sleeper's epoch has a second body: before the first such epoch, movement may be the other's."""
         s = self.state
         if sleeper != s.sleeper:
             return

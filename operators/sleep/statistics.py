@@ -58,10 +58,10 @@ log = structlog.get_logger(__name__)
 class SleepStatisticsState:
     """
     epochs  the newest final ones
-    asked   (MOST_ASKED, 3)  times in bed whose last epoch is not final yet: begin, end, place in BEDS; the first `asks` hold
+    asked   (MOST_ASKED, 3)  times in bed that wait for their last final epoch: begin, end, place in BEDS; the first `asks` hold
     dark    when the lights went off; NEVER: they are on. window (2,): the schedule's present night; NEVER: not known yet
     last    the newest stamp of any input; promised: up to when nothing more comes. bed: what the time in bed is by
-    known   end of the newest epoch that was scored; NEVER: none was since the last row. parted: nothing counts until one is
+    known   end of the newest epoch that was scored; NEVER if not since the last row. parted: nothing counts until one is
     """
 
     epochs: ScoredEpochs
@@ -90,7 +90,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
     estimate.
     Every row names its `convention`; stream.domain.night.night and docs/method/sleep.md define each number by each convention. Minutes;
     `se`, `movement`, `fragmentation`, `total_fragmentation` in %. Unknown epochs enter no numerator; `_low` and `_high` bound what they
-    leave open. sleep_onset, sleep_end: 0 where there was no sleep. Epochs that were never told are unknown.
+    leave open. sleep_onset, sleep_end: 0 where there was no sleep. Missing epochs are unknown.
 
     Lights that stay off longer than `longest_h` are no night, nor is a scheduled one of which nothing was scored: they have no row, and
     the log says so. Memory: `longest_h` of epochs.
@@ -102,7 +102,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
         "time": "a recording's end is its last night's end; until it comes nothing is promised beyond the last epoch"
     }
 
-    convention: Convention = param("AASM", help="by whose definitions")
+    convention: Convention = param("AASM", help="the definitions to use")
     schedule: str = param("", help="lights off and on every day, HH:MM-HH:MM")
     timezone: str = param("UTC", help="in which the schedule is meant, e.g. Europe/Berlin")
     longest_h: float = param(24.0, least=0.1, most=48.0, help="the longest time in bed")
@@ -120,7 +120,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
         n = int(np.ceil(self.longest_h * 3600 / epoch_s))
         self.set_state(
             SleepStatisticsState(
-                ScoredEpochs.none(round(epoch_s * NS), n), np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]),
+                ScoredEpochs.empty(round(epoch_s * NS), n), np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]),
                 NEVER, NEVER, bed, NEVER, False,
             )
         )  # fmt: skip
@@ -233,7 +233,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
             s.asks += 1
 
     def _answer(self, made: list[tuple[Any, ...]], *, ended: bool) -> None:
-        """Give out the nights whose last epoch is final."""
+        """Emit the nights with a final last epoch."""
         s = self.state
         while s.asks and s.epochs.count and (ended or s.epochs.end >= s.asked[0, 1]):
             begin, end, code = s.asked[0].tolist()

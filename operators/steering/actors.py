@@ -1,4 +1,4 @@
-"""Whose feet move whose legs: actors' markers as those of a model, in the ranges in which these moved (thesis 9.3.2, figure 9.1)."""
+"""Fits actors' markers to those of a model, in the ranges that these had in training (thesis 9.3.2, figure 9.1)."""
 
 from __future__ import annotations
 
@@ -93,10 +93,10 @@ class Actors(_Cast):
     `limbs` says which marker of the model an actor's marker moves, and what that is seen from: {hoof_fl: [first.foot_l, first.hip]}. In the
     first `learn_s` an actor's marker is seen its range is learned, mean and standard deviation of each axis; from then on it is mapped to
     the range in which the model's marker moved in the training. What is not seen stays: an actor who leaves freezes only his own limbs.
-    Markers of the model that nobody moves stay at their mean. No delay.
+    Markers of the model without an actor stay at their mean. No delay.
 
     An input that declares its axes is turned to those of the model: up stays up, and who walks forward moves the mesh's limbs forward. One
-    that declares none, or a model that was trained on such, is taken as it is: operators.filters.turn_axes.TurnAxes declares and turns
+    without axes, or for a model trained on such, is taken as it is: operators.filters.turn_axes.TurnAxes declares and turns
     axes.
     """
 

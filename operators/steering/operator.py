@@ -119,8 +119,8 @@ class SteerMesh(_Steered):
         object.__setattr__(self, "together", together)
         object.__setattr__(self, "regions", Regions.of(learned.parts))
         middles = [part.learned.centres.mean(axis=0) for part in learned.parts]
-        told = np.zeros(learned.width) if learned.graph else np.zeros(0)
-        object.__setattr__(self, "room", (np.zeros(3 * m), told, np.zeros((3, 3)), predicted, middles))
+        features = np.zeros(learned.width) if learned.graph else np.zeros(0)
+        object.__setattr__(self, "room", (np.zeros(3 * m), features, np.zeros((3, 3)), predicted, middles))
         self.set_state(
             SteerMeshState(
                 np.zeros(m, np.bool_),
@@ -131,7 +131,7 @@ class SteerMesh(_Steered):
                 np.zeros(1),
                 np.zeros((m, 3)),
                 np.zeros(1, np.bool_),
-                ExchangedNames.none(),
+                ExchangedNames.empty(),
             )
         )
         meta = {key: value for key, value in in_axes(spec, axes).items() if key != "skeleton"}
@@ -165,7 +165,7 @@ class SteerMesh(_Steered):
         s, n = self.state, len(chunk.time)
         x = self.room[0]
         made, quality = np.empty((n, *s.latest.shape)), np.empty((n, 1))
-        told: list[tuple[int, str, str, str]] = []
+        events: list[tuple[int, str, str, str]] = []
         learned = self.learned
         for i in range(n):
             if gather_marks(
@@ -195,39 +195,49 @@ class SteerMesh(_Steered):
             made[i], quality[i] = s.latest, s.outside
             marks = self.scale * chunk.data[i][self.columns]
             seen, far, now = bool(np.isfinite(marks).all()), float(s.outside[0]), int(chunk.time[i])
-            if seen and (said := s.names.see(learned, marks, far, now, self.regions)):
-                told.append(said)
+            if seen and (event := s.names.see(learned, marks, far, now, self.regions)):
+                events.append(event)
         return [
             ("mesh", Chunk(chunk.time, made, chunk.until, chunk.lost)),
             ("quality", Chunk(chunk.time, quality, chunk.until, chunk.lost)),
             (
                 "names",
-                Chunk(np.array([row[0] for row in told], np.int64), np.array(told, NAMED), chunk.until, chunk.lost),
+                Chunk(np.array([row[0] for row in events], np.int64), np.array(events, NAMED), chunk.until, chunk.lost),
             ),
         ]
 
     def _told(self) -> Samples:
-        """What tells the pose: the markers' positions, or the angles, lengths and directions of the model's graph."""
-        s, (x, told, *_), graph = self.state, self.room, self.learned.graph
+        """The features of the pose: the markers' positions, or the angles, lengths and directions of the model's graph."""
+        s, (x, features, *_), graph = self.state, self.room, self.learned.graph
         if graph is None:
             return x
         if not s.begun[0]:
             s.earlier[:] = s.marks
         tell_pose(
-            s.marks, s.earlier, graph.lead, graph.edges, graph.before, graph.lengths, graph.shares, graph.still, told
+            s.marks,
+            s.earlier,
+            graph.lead,
+            graph.edges,
+            graph.before,
+            graph.lengths,
+            graph.shares,
+            graph.still,
+            features,
         )
         s.earlier[:], s.begun[0] = s.marks, True
-        return told
+        return features
 
-    def _add_parts(self, told: Samples) -> None:
-        """Add every part to the newest mesh, as `told` (width,) says."""
+    def _add_parts(self, features: Samples) -> None:
+        """Add every part to the newest mesh, at the pose `features` (width,)."""
         s, parts, (_, _, turn, predicted, middles) = self.state, self.learned.parts, self.room
         for part, y, middle in zip(parts, predicted, middles, strict=True):
             one = part.learned
             if one.linear:
-                far = predict_linear(told, part.features, one.centres, middle, one.weights, one.mean, one.scale, FAR, y)
+                far = predict_linear(
+                    features, part.features, one.centres, middle, one.weights, one.mean, one.scale, FAR, y
+                )
             else:
-                far = predict(told, part.features, one.centres, one.weights, one.mean, one.scale, y)
+                far = predict(features, part.features, one.centres, one.weights, one.mean, one.scale, y)
             s.outside[0] = max(s.outside[0], far)
             if part.parent >= 0:
                 columns(predicted[part.parent], turn)

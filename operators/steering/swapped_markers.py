@@ -23,8 +23,8 @@ ALIKE = 0.8
 
 @dataclass(slots=True)
 class ExchangedNames:
-    """numbers (9,): the pair to be tried next, a pair that would explain the markers (-1: none) and in how many samples it has, the pair
-    that was reported (-1: none), how many samples in a row the markers have been near, and 1 where a sample was passed over; then how
+    """numbers (9,): the pair to be tried next, a pair that would explain the markers (or -1) and in how many samples it has, the pair
+    that was reported (or -1), how many samples in a row the markers have been near, and 1 where a sample was passed over; then how
     many other pairs it has been held against, in how many samples the one after them, and 1 where one of them explains them as well.
 
     sums (2,): what the pair and that other one leave of the distance, in these samples.
@@ -34,25 +34,25 @@ class ExchangedNames:
     sums: Samples
 
     @staticmethod
-    def none() -> ExchangedNames:
+    def empty() -> ExchangedNames:
         return ExchangedNames(np.array([0, -1, 0, -1, 0, 0, 0, 0, 0]), np.zeros(2))
 
     def see(
         self, model: Steering, marks: Samples, far: float, time: int, regions: Regions | None = None
     ) -> tuple[int, str, str, str] | None:
-        """What is to be reported of a sample at `time` (ns) whose markers (m, 3) are all seen, `far` kernel widths from the training.
+        """The event of a sample at `time` (ns) with all markers (m, 3) seen, `far` kernel widths from the training, or None.
 
         Every second sample one pair of markers is tried, so that a sample costs little: it takes m (m - 1) + 9 that are far to find one,
         at most. Then it is held against every other pair, one a sample, and against one that might do as well in 10 samples. The better
-        one is reported; none, where two are alike.
+        one is reported; if two are alike, neither is.
         """
         n = self.numbers
         n[4] = n[4] + 1 if far <= FAR else 0
         if n[3] >= 0:
             if n[4] < CALM:
                 return None
-            told, n[3:5] = int(n[3]), (-1, 0)
-            return time, "cured", *_names(model, told)
+            reported, n[3:5] = int(n[3]), (-1, 0)
+            return time, "cured", *_names(model, reported)
         if far <= FAR:
             if n[4] >= CALM:
                 self._take(-1)
@@ -73,7 +73,7 @@ class ExchangedNames:
         return None
 
     def _take(self, pair: int, samples: int = 0) -> None:
-        """Believe in a pair (-1: in none) that has explained this number of samples; it has not been held against any other."""
+        """Take a pair (or -1) that has explained this number of samples; it has not been compared with any other."""
         self.numbers[1:3], self.numbers[6:9], self.sums[:] = (pair, samples), 0, 0.0
 
     def _held(

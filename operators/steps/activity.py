@@ -1,4 +1,4 @@
-"""Walking, turning, standing: which of them a person does, from their steps and from the time in which none comes."""
+"""Detects walking, turning and standing from a person's steps and from pauses between them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class StepActivityState:
     activity       what the person does, since `began` (NEVER: before the signal did)
     heard, ended   stamp and end of the latest step, or the first sample after a gap;  newest: the latest sample
     steps, since   walking steps in a row, and the onset of the first
-    turned, turning   the sum of a turn's angles in degrees, and the onset of its first step (NEVER: none)
+    turned, turning   the sum of a turn's angles in degrees, and the onset of its first step (NEVER without one)
     straight, straightened   steps in a row that are no turns, and the onset of the first
     """
 
@@ -57,9 +57,9 @@ class StepActivity(Operator[StepActivityState]):
     walking    two walking steps in a row, from the onset of the first
     turning    steps of kind "turn", together by `turn_deg` or more, from the onset of the first, until two others follow in a row
     standing   no step for `still_s`, from the end of the latest; sitting, and a sensor that was put down, look the same
-    unknown    no sample, or none without NaN, for more than `reset_gap_s`: from the last one
+    unknown    no finite sample for more than `reset_gap_s`: from the last one
 
-    Stamped when it is decided: with a step, or with the sample at which none has come for long enough.
+    Stamped when it is decided: with a step, or with the first sample after a pause that is long enough.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("steps", "signal")

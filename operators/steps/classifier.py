@@ -24,7 +24,7 @@ SHIPPED = Path(__file__).with_name("walking_manner.npz")
 
 def judgement(classes: int) -> np.dtype[np.void]:
     """One step's: the likeliest class and every class's probability; `told` is that class, or "uncertain" below the model's threshold. And
-    of all steps so far: `vote` is the class that most were told to be, `share` of those told, with its 95 % interval; `decided` is the
+    of all steps so far: `vote` is the class of most reported steps, `share` of these, with its 95 % interval; `decided` is the
     vote once the interval lies above one half, else "uncertain"; `settles`: after how many steps it would at this share, -1: never."""
     return np.dtype(
         [

@@ -112,7 +112,7 @@ class StepModel:
 
 
 def _check_nodes(path: Path, forest: Forest, features: int) -> None:
-    """Refuse a file whose trees would run out of the arrays or in circles."""
+    """Refuse a file with trees that leave the arrays or run in circles."""
     n, at = len(forest.share), np.arange(len(forest.share))
     inner = forest.left >= 0
     sound = (

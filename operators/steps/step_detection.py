@@ -77,8 +77,8 @@ def seek(track: np.void, rule: np.void, at: int, v: float) -> bool:
 
 @kernel
 def find_steps(time: Times, data: Samples, sos: Samples, z: Samples, track: Array, rules: Array, found: Times) -> int:
-    """Steps in `data` (n, 6) whose first three are acceleration in m/s2; rows of `found` (n, 3): which sample made it certain, the peak's
-    stamp, and the peak before (NEVER: none). Returns how many. A sample with NaN is passed over; `track["found_at"]` goes after a gap.
+    """Finds steps in `data` (n, 6), first acceleration in m/s2; rows of `found` (n, 3): which sample made it certain, the peak's
+    stamp, and the peak before (or NEVER). Returns how many. A sample with NaN is passed over; `track["found_at"]` goes after a gap.
     """
     steps, state, rule = 0, track[0], rules[0]
     for i in range(time.shape[0]):

@@ -69,8 +69,8 @@ class Steps(Operator[StepsState]):
     The features are the thesis's: length and duration, and of each channel mean, standard deviation, least, most, RMS, entropy, energy and
     the largest spectral amplitude. `axes: gravity` takes amounts that do not depend on how the sensor is turned: along the step's mean
     acceleration, across it, and the norm. `length_m` is Weinberg's model (2002): `length_factor` times the fourth root of the range of
-    vertical acceleration. 0.37 fits walks of 13 people best whose protocol says 10 m (docs/lab/steps.md); the feature `length` has
-    Weinberg's 0.46 always, which trained models rely on.
+    vertical acceleration. 0.37 fits 10 m walks of 13 people best (docs/lab/steps.md); the feature `length` has Weinberg's
+    0.46 always, which trained models rely on.
 
     Stamped when it is certain; onset and end are where the peaks are. NaN in a sample leaves that sample out; a gap longer than
     `reset_gap_s` begins again.
@@ -87,7 +87,7 @@ class Steps(Operator[StepsState]):
     )
     wait_s: float = param(0.0, least=0.0, most=0.5, help="how long a peak must stand before it is reported")
     shortest_s: float = param(
-        APART_S, least=0.15, most=1.0, help="a peak no later than this after a step is none; less for runners"
+        APART_S, least=0.15, most=1.0, help="a peak no later than this after a step is ignored; less for runners"
     )
     longest_s: float = param(1.2, above=0.35, most=3.0, help="a longer step has a pause in it")
     length_factor: float = param(0.37, above=0.0, most=2.0, help="of the step length: scale it by a known distance")
@@ -103,7 +103,7 @@ class Steps(Operator[StepsState]):
         acceleration = [i for i, unit in enumerate(units) if unit in ("m/s2", "m/s^2", "g")]
         angular = [i for i, unit in enumerate(units) if unit in ("rad/s", "deg/s", "dps")]
         if len(acceleration) != 3 or len(angular) not in (0, 3):
-            raise InputError("in", spec.describe(), "3 channels in m/s2 or g, and 3 or none in rad/s or deg/s")
+            raise InputError("in", spec.describe(), "3 channels in m/s2 or g, and 3 or 0 in rad/s or deg/s")
         if self.shortest_s >= self.longest_s:
             raise ParameterError("shortest_s", self.shortest_s, f"below longest_s ({self.longest_s})")
         picked = acceleration + angular

@@ -33,7 +33,7 @@ GAIT = np.dtype(
         ("least_sure_pct", "<f8"),
     ]
 )
-"""A stride: its gait, for how much of it two feet or more, or none, stood, and how many on average; `least_sure_pct` is how far the phase
+"""A stride: its gait, how long two or more feet, or no foot, stood, and the mean number of feet; `least_sure_pct` is how far the phase
 or duty factor that lies nearest to a limit of the gait lies from it."""
 
 
@@ -74,10 +74,10 @@ class Footfalls(Operator[FootfallState]):
     inputs: ClassVar[tuple[str, ...]] = ("touchdown", "liftoff")
     outputs: ClassVar[tuple[str, ...]] = ("limbs", "gait")
 
-    reference: str = param("", help="the limb whose strides count; empty: the first")
+    reference: str = param("", help="the limb that defines strides; empty: the first")
     late_s: float = param(0.4, least=0.0, most=5.0, help="how long after it happened a contact may be reported")
     tolerance_pct: float = param(12.5, above=0.0, most=25.0, help="how far feet of a pair may be off half a stride")
-    longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer stride is none")
+    longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer stride is ignored")
 
     def open(self, specs: Specs) -> Specs:
         check_named(specs, self.inputs)
@@ -100,9 +100,9 @@ class Footfalls(Operator[FootfallState]):
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s, k = self.state, self.inputs.index(port)
         first = s.names.index(self.reference) if self.reference else 0
-        told: list[tuple[int, Array, Array]] = []
+        found: list[tuple[int, Array, Array]] = []
         for i, (stamp, row) in enumerate(zip(chunk.time.tolist(), chunk.data, strict=True)):
-            self._due(told, stamp - 1)
+            self._due(found, stamp - 1)
             s.broken = 1 if i == 0 and chunk.lost else s.broken
             if str(row["limb"]) in s.names:
                 limb = s.names.index(str(row["limb"]))
@@ -110,11 +110,11 @@ class Footfalls(Operator[FootfallState]):
                 s.seen[limb, k] += 1
                 if limb == first and k == 0:
                     self._stride(int(row["onset"]), stamp)
-        self._due(told, chunk.until)
+        self._due(found, chunk.until)
         lost = -1 if chunk.lost else 0
-        stamps = np.array([stamp for stamp, *_ in told], np.int64)
-        limbs = np.concatenate([np.empty(0, FOOTFALL), *(rows for _, rows, _ in told)])
-        gaits = np.concatenate([np.empty(0, GAIT), *(row for *_, row in told)])
+        stamps = np.array([stamp for stamp, *_ in found], np.int64)
+        limbs = np.concatenate([np.empty(0, FOOTFALL), *(rows for _, rows, _ in found)])
+        gaits = np.concatenate([np.empty(0, GAIT), *(row for *_, row in found)])
         return [
             ("limbs", Chunk(stamps.repeat(len(s.names)), limbs, chunk.until, lost)),
             ("gait", Chunk(stamps, gaits, chunk.until, lost)),
@@ -141,8 +141,8 @@ class Footfalls(Operator[FootfallState]):
         s.strides[s.waiting] = onset, stamp
         s.waiting += 1
 
-    def _due(self, told: list[tuple[int, Array, Array]], until: int) -> None:
-        """Tell every stride whose time has come."""
+    def _due(self, found: list[tuple[int, Array, Array]], until: int) -> None:
+        """Emit every stride that is due."""
         s, late = self.state, round(self.late_s * NS)
         while s.waiting > 1:
             start, end = int(s.strides[0, 0]), int(s.strides[1, 0])
@@ -153,10 +153,10 @@ class Footfalls(Operator[FootfallState]):
             s.waiting -= 1
             s.number += 1
             if end - start <= self.longest_s * NS:
-                told.append((due, *self._told(start, end)))
+                found.append((due, *self._rows(start, end)))
             s.broken = 0
 
-    def _told(self, start: int, end: int) -> tuple[Array, Array]:
+    def _rows(self, start: int, end: int) -> tuple[Array, Array]:
         s, duration = self.state, end - start
         limbs, gait = np.zeros(len(s.names), FOOTFALL), np.zeros(1, GAIT)
         for rows in (limbs, gait):

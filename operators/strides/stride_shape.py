@@ -73,7 +73,7 @@ class StrideShape(Operator[StrideState]):
     NaN is whatever is not known: everything where the marker is missing for more than `gap_s` (shorter gaps are filled on a straight
     line; what is not finite, or exactly 0, 0, 0, is missing), where contacts may have been lost, or where the second touch-down came
     later than `late_s`; height and arch, on a belt also the length, where there is not just one lift-off in the stride. A stride longer
-    than `longest_s` is none. Numbers count as those of `operators.cycles.limb_cycles.LimbCycles` for the same contacts: of l limbs, limb i
+    than `longest_s` is skipped. Numbers match those of `operators.cycles.limb_cycles.LimbCycles` for the same contacts: of l limbs, limb i
     has i, i + l, i + 2 l ...
 
     A stride is emitted `late_s` after its end, when late contacts are there; that is its event's stamp, and the declared delay.
@@ -90,7 +90,7 @@ class StrideShape(Operator[StrideState]):
     gap_s: float = param(
         0.05, least=0.0, most=1.0, help="a longer gap spoils the stride, a shorter one is interpolated"
     )
-    longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer stride is none")
+    longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer stride is ignored")
 
     def open(self, specs: Specs) -> Specs:
         spec, touch = specs["in"], specs["touchdown"]
@@ -127,26 +127,26 @@ class StrideShape(Operator[StrideState]):
             return [("out", self._taken(port, chunk))]
         before: list[tuple[int, Array]] = []
         self._due(before, int(chunk.time[0]) - 1)
-        return [("out", _told(before, int(chunk.time[0]) - 1, 0)), ("out", self._taken(port, chunk))]
+        return [("out", _chunk(before, int(chunk.time[0]) - 1, 0)), ("out", self._taken(port, chunk))]
 
     def _taken(self, port: str, chunk: Chunk) -> Chunk:
         s, names = self.state, list(self.limbs)
-        told: list[tuple[int, Array]] = []
+        rows: list[tuple[int, Array]] = []
         if port == "in":
             flat = chunk.data.reshape(len(chunk.data), int(np.prod(chunk.data.shape[1:])))
             for a in range(0, len(chunk.time), s.recent.keep):
                 time = chunk.time[a : a + s.recent.keep]
                 s.recent.append(time, flat[a : a + s.recent.keep, s.columns] * s.metres)
-                self._due(told, min(int(time[-1]) - 1, chunk.until))
+                self._due(rows, min(int(time[-1]) - 1, chunk.until))
         else:
             if chunk.lost and port == "touchdown":
                 s.broken[:] = 1
             for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
-                self._due(told, stamp - 1)
+                self._due(rows, stamp - 1)
                 if str(row["limb"]) in names:
                     self._contact(port, names.index(str(row["limb"])), int(row["onset"]), stamp)
-        self._due(told, chunk.until)
-        return _told(told, chunk.until, -1 if chunk.lost else 0)
+        self._due(rows, chunk.until)
+        return _chunk(rows, chunk.until, -1 if chunk.lost else 0)
 
     def _contact(self, port: str, limb: int, onset: int, stamp: int) -> None:
         s = self.state
@@ -168,8 +168,8 @@ class StrideShape(Operator[StrideState]):
         s.waiting[limb] -= 1
         s.strides[limb] += 1
 
-    def _due(self, told: list[tuple[int, Array]], until: int) -> None:
-        """Tell every stride whose time has come, in order of time, the first limb first."""
+    def _due(self, rows: list[tuple[int, Array]], until: int) -> None:
+        """Emit every stride that is due, in order of time, the first limb first."""
         s, late, found = self.state, round(self.late_s * NS), []
         for limb, name in enumerate(self.limbs):
             while s.waiting[limb] > 1:
@@ -185,7 +185,7 @@ class StrideShape(Operator[StrideState]):
                 self._next(limb)
                 if end - start <= self.longest_s * NS:
                     found.append((due, row))
-        told += sorted(found, key=lambda each: each[0])
+        rows += sorted(found, key=lambda each: each[0])
 
     def _measure(self, limb: int, start: int, end: int, due: int) -> tuple[float, float, float]:
         """Length in m, height in m and arch in % of one stride, by what was there when it was due."""
@@ -228,8 +228,8 @@ class StrideShape(Operator[StrideState]):
         return [Case(cls(both), inputs, least=14), Case(cls(both, belt=True, late_s=0.1), inputs, least=14)]
 
 
-def _told(told: list[tuple[int, Array]], until: int, lost: int) -> Chunk:
-    return Chunk(np.array([due for due, _ in told], np.int64), np.array([row for _, row in told], STRIDE), until, lost)
+def _chunk(rows: list[tuple[int, Array]], until: int, lost: int) -> Chunk:
+    return Chunk(np.array([due for due, _ in rows], np.int64), np.array([row for _, row in rows], STRIDE), until, lost)
 
 
 def _places(time: Times, place: Samples, when: list[int]) -> Samples:

@@ -54,7 +54,7 @@ class Align(_Joining):
 
     Between the samples of a stream its value is found by `method`: on a straight line between the samples on both sides (linear), from the
     newest sample at or before (hold), or from the nearest one. Samples further away than `max_distance_s` do not count, for linear on
-    either side; where none counts there is NaN. A bad sample counts as it is: NaN.
+    either side; without one the value is NaN. A bad sample counts as it is: NaN.
 
     stamps   of the first stream: each of its samples comes out, with its own values, and its gaps are passed on; gaps of the others show
              as NaN. On the grid: from the earliest sample of all on, evenly; rows at which no stream has a value are left out and counted
@@ -68,7 +68,7 @@ class Align(_Joining):
     No anti-alias filter is in it: a stream that is much faster than the rows should be low-passed first.
     """
 
-    delays: ClassVar[str] = "`max_distance_s`; `hold`: none"
+    delays: ClassVar[str] = "`max_distance_s`; `hold`: no delay"
     inputs: ClassVar[tuple[str, ...]] = ()
     variadic: ClassVar[bool] = True
     in_turn: ClassVar[bool] = False
@@ -260,7 +260,7 @@ def like_first(port: str, spec: StreamSpec, leader: StreamSpec) -> Turn | None:
     unit, wanted, axes = length_of(spec, port), length_of(leader), Axes.of(leader)
     if bool(unit) != bool(wanted):
         raise InputError(
-            port, spec.describe(), f"points in a unit of length, as those of the first input: {wanted or 'none'}"
+            port, spec.describe(), f"points in a unit of length, as those of the first input: {wanted or 'no unit'}"
         )
     order, signs = turned_to(axes, spec)
     if (Axes.of(spec) is None) != (axes is None):

@@ -98,7 +98,7 @@ class Gate(_Gated):
         rng = np.random.default_rng(32)
         times = np.array([1_500_000_000, 3_020_000_000, 4_000_000_000, 5_500_000_000])
         onset = np.array([(int(t),) for t in times], [("onset", "<i8")])
-        said = np.array([(b,) for b in ("hello", "go", "on", "end")], [("text", "<U8")])
+        texts = np.array([(b,) for b in ("hello", "go", "on", "end")], [("text", "<U8")])
         signal, touch = StreamSpec((2,), rate_hz=100.0), np.array([(1,)] * 40, [("onset", "<i8")])
         samples = (signal, grid(100.0, 700), rng.random((700, 2)))
         events = (StreamSpec((), touch.dtype), grid(8.0, 40), touch)
@@ -109,10 +109,10 @@ class Gate(_Gated):
             Case(cls(tail_s=0.2), {"pulses": (StreamSpec((), onset.dtype), times, onset), "in": samples}, least=280),
             Case(
                 cls("go", "end", tail_s=1.5),
-                {"pulses": (StreamSpec((), said.dtype), times, said), "in": late},
+                {"pulses": (StreamSpec((), texts.dtype), times, texts), "in": late},
                 least=12,
             ),
-            Case(cls("go", "end"), {"pulses": (StreamSpec((), said.dtype), times, said), "in": events}, least=10),
+            Case(cls("go", "end"), {"pulses": (StreamSpec((), texts.dtype), times, texts), "in": events}, least=10),
         ]
 
     def _pulse(self, stamp: int, text: str) -> None:

@@ -28,7 +28,7 @@ class _Gate(Operator[PauseState]):
 
 @dataclass(frozen=True, slots=True)
 class Pause(_Gate):
-    """Samples of any kind in and out, but none while the switch is on; what was kept back counts as lost.
+    """Drops samples of any kind while the switch is on; dropped samples count as lost.
 
     in       any stream
     switch   a signal of one channel (0 is off) or events with a field `on`: `devices.mqtt.MqttSwitch`, `stream.manual.Value`

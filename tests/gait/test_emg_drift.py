@@ -127,16 +127,16 @@ def test_a_muscle_that_dies_in_mid_session_is_not_known_from_then_on_and_the_oth
 
 def test_random_parts_swept_a_little_at_a_time_are_those_fitted_at_once():
     inputs = bursts(20)
-    window, group = PeakWindow.none(20, 2), np.zeros(1, np.int64)
+    window, group = PeakWindow.empty(20, 2), np.zeros(1, np.int64)
     window.note_peaks(inputs["maxima"][2])
     for row, curve in zip(inputs["closed"][2], inputs["cycles"][2], strict=True):
         window.accept(int(row["number"]), curve)
     how = PeakMixtures().fitting()
-    whole, slots = Refit.none(20, 1), window.latest(20)
+    whole, slots = Refit.empty(20, 1), window.latest(20)
     whole.begin(window, slots, group, how)
     whole.finish(how)
     start = tuple(part.copy() for part in whole.mixture())
-    one, other = Refit.none(20, 1), Refit.none(20, 1)
+    one, other = Refit.empty(20, 1), Refit.empty(20, 1)
     one.follow(window, slots[:5], group, how, start)
     other.begin_from(window, slots[:5], group, how, start)
     calls = 1

@@ -75,12 +75,12 @@ def test_without_turns_it_is_scikit_learns_on_the_real_walk(walk):
     rows = drive(operator, walk)["mixture"][2]
     rows = rows[rows["number"] == rows["number"].max()]
     assert len(rows) == len(walk["cycles"][0].channels) and (rows["unknown"] == "").all()
-    window = PeakWindow.none(20, len(rows))
+    window = PeakWindow.empty(20, len(rows))
     window.note_peaks(walk["maxima"][2])
     for number, curve in zip(walk["closed"][2]["number"].tolist(), walk["cycles"][2], strict=True):
         window.accept(number, curve)
     for m, row in enumerate(rows):
-        refit = Refit.none(20, 1)
+        refit = Refit.empty(20, 1)
         refit.begin(window, window.latest(20), np.array([m]), operator.fitting())
         start = tuple(part.copy() for part in refit.mixture())
         peer, _ = as_scikit_learn(refit.points[: refit.count], start, np.sqrt(refit.least / 1e-6))

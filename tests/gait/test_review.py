@@ -140,7 +140,7 @@ def test_what_is_typed_in_a_session_of_the_shipped_graph_counts_in_its_replay(tm
 def test_a_window_of_all_muscles_takes_one_place_of_the_latest() -> None:
     """Of 256 windows the first is still there, however many muscles each was judged for; of one more it is not."""
     event = np.zeros((), [("onset", "<i8"), ("end", "<i8"), ("flag", "U16"), ("reason", "U16")])
-    windows = Windows.none(2)
+    windows = Windows.empty(2)
     for k in range(WINDOWS + 1):
         if k == WINDOWS:
             assert windows.of(0, 1)[0].tolist() == [2, 1] and windows.of(0, 1)[1].tolist() == ["off", "noisy"]

@@ -47,7 +47,7 @@ def test_epochs_are_steady_among_and_within_themselves(levels: list[float], scat
 
 
 def test_a_reason_that_is_not_known_counts_as_none() -> None:
-    sleepers = SleeperActivity.none(["left", "right"], ActivityLimits(5.0, 0.1, 0.5, 0.5, 2.0, 0), 10**9)
+    sleepers = SleeperActivity.unknown(["left", "right"], ActivityLimits(5.0, 0.1, 0.5, 0.5, 2.0, 0), 10**9)
     for why, number in (("region", 5), ("nothing of ours", 0), ("", 0)):
         sleepers.move("right", "out", why)
         assert sleepers.why.tolist() == [0, number]

@@ -12,7 +12,7 @@ STEADY = 0.2
 LIGHT_S, LIGHT_SHARE = 12.0, 0.9
 """A rise for at least so long, with hardly a pause, and as steady as noise, may be a light that makes depths noisier, however faint."""
 DISPLACED = 0.2
-"""It is none where it grows by this share of itself over twice the time: a random walk grows by 0.41, steady movement by 1, noise by 0."""
+"""It does not count as light where it grows by this share of itself over twice the time: a random walk grows by 0.41, movement by 1."""
 
 
 def lit(

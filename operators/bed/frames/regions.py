@@ -30,7 +30,7 @@ def region_spec(sleepers: tuple[str, ...], meta: Mapping[str, Any]) -> StreamSpe
 
 
 def sleepers_of(specs: Specs, port: str = "regions") -> tuple[str, ...]:
-    """The names of those whose regions come by `port`."""
+    """Names of the sleepers with regions on `port`."""
     spec = specs[port]
     if spec.dtype != REGION or not spec.meta.get("sleepers"):
         raise InputError(port, spec.describe(), "regions, as operators.bed.bed.BedRegion gives them")

@@ -29,7 +29,7 @@ class Fit:
 
     @property
     def explains(self) -> bool:
-        """Whether it is a jump: it leaves at most half of the change, and is none too small."""
+        """Whether it is a jump: large enough, and it explains at least half of the change."""
         return self._large and self.left < EXPLAINS * self.was
 
     @property

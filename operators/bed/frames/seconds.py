@@ -102,10 +102,10 @@ def restless(stretch: Samples, region: Times, least: float) -> int:
 @dataclass(slots=True)
 class Seconds:
     """
-    begin         of the present second (ns); NEVER: none is open. sums, counts (rows, columns): of it
+    begin         of the present second (ns); NEVER if closed. sums, counts (rows, columns): of it
     mean          (rows, columns) of the newest second
     closed        end of the newest second (ns)
-    since         begin of the present stretch (ns); NEVER: none is open. stretch (3, rows, columns): its sums, as `close` has them
+    since         begin of the present stretch (ns); NEVER if closed. stretch (3, rows, columns): its sums, as `close` has them
     """
 
     begin: int

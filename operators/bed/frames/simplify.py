@@ -64,8 +64,8 @@ class Simplify(Operator[SimplifyState]):
     the others are learned from the blocks of the first `learn_s` and then fixed: that costs a tenth, and does not tremble with the
     frame. Until then a block is its mean. Every further stretch of `learn_s` (64 frames at least) is compared: where its own components
     would leave `1 / worse` of the variance or less, the scene has changed, and they are taken. Components are sought by orthogonal
-    iteration, one step a frame, from sums over some blocks of every frame: no frame is kept, nor a place, and a snapshot holds none
-    either. No delay.
+    iteration, one step a frame, from sums over some blocks of every frame: it keeps neither frames nor places, and neither does a snapshot
+    of its state. No delay.
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "blocks", "scene")
@@ -86,7 +86,7 @@ class Simplify(Operator[SimplifyState]):
         if height % b or width % b:
             fits = [str(k) for k in range(2, 17) if not height % k and not width % k]
             raise ParameterError(
-                "block", b, f"a divisor of both {height} and {width}: {', '.join(fits) or 'there is none'}"
+                "block", b, f"a divisor of both {height} and {width}: {', '.join(fits) or 'no size fits'}"
             )
         if m > b * b:
             raise ParameterError("components", m, f"at most {b * b}, the pixels of a block")
@@ -108,7 +108,7 @@ class Simplify(Operator[SimplifyState]):
         s = self.state
         n, b = len(chunk.time), self.block
         grey = chunk.data.dtype == np.uint8
-        frames = chunk.data + np.uint16(1) if grey else chunk.data  # black is a measurement; 0 is none
+        frames = chunk.data + np.uint16(1) if grey else chunk.data  # 0 means missing, so black becomes 1
         height, width = frames.shape[1:]
         out = np.empty((n, height, width), np.uint16)
         blocks = np.empty((n, height // b, width // b))

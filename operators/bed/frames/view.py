@@ -30,7 +30,7 @@ ACCEPT_S = 60
 FLICKER_MM = 100.0
 """A block that differs this much from the second before was not measured, or something moved there."""
 LEAST_MM = 3.0
-"""Less mean change than this, and than `USUAL` times the usual, is none."""
+"""A mean change below this, or below `USUAL` times the usual, is ignored."""
 USUAL = 3.0
 SETTLED_S = 60
 """So long after a jump the view is steady again."""
@@ -49,9 +49,9 @@ class ViewState:
     changed    seconds since it has differed more. explained, partly, replaced: those in a row which a jump explains, or explains in
                part, or in which all is another
     since      when the present change was noticed first (ns)
-    dark       whether it is; hidden: seconds in a row that say otherwise
-    told       whether anything was reported; jumped: whether the newest that was reported is a jump
-    lost       what the next emission says is missing before it
+    dark       whether it is; hidden: seconds in a row that disagree
+    reported   whether anything was reported; jumped: whether the newest that was reported is a jump
+    lost       how many samples are missing before the next emission
     """
 
     block: int
@@ -68,7 +68,7 @@ class ViewState:
     since: int
     dark: bool
     hidden: int
-    told: bool
+    reported: bool
     jumped: bool
     lost: int
 
@@ -149,8 +149,8 @@ class View(Operator[ViewState]):
         self._light(float(held.mean()), end, made)
         s.newest[s.count % RECENT] = only_finite(mean)
         s.count += 1
-        if not s.told and not s.dark:
-            self._tell("steady", end - NS, end, made)
+        if not s.reported and not s.dark:
+            self._report("steady", end - NS, end, made)
         if not s.dark and s.hidden == 0 and s.count >= RECENT:
             self._compare(_mean(s.newest), end, made)
 
@@ -162,7 +162,7 @@ class View(Operator[ViewState]):
         if s.hidden >= self.dark_s:
             s.dark = not s.dark
             onset, s.hidden = end - s.hidden * NS, 0
-            self._tell("dark" if s.dark else "steady", onset, end, made)
+            self._report("dark" if s.dark else "steady", onset, end, made)
             s.changed = s.explained = s.partly = s.replaced = 0
             s.count = RECENT if s.dark else 0
             s.newest[:] = np.nan
@@ -176,7 +176,7 @@ class View(Operator[ViewState]):
         s.settled += 1
         if s.settled == SETTLED_S and s.jumped:
             s.jumped = False
-            self._tell("steady", end - NS, end, made)
+            self._report("steady", end - NS, end, made)
         differs = cost(recent - s.reference)
         if not differs > max(LEAST_MM, USUAL * s.usual):
             fresh = ~np.isfinite(s.reference)
@@ -204,15 +204,15 @@ class View(Operator[ViewState]):
         s = self.state
         known = s.explained >= CONFIRM or s.partly >= CONFIRM_PARTLY
         down, right = (fit.down * s.block, fit.right * s.block) if known else (math.nan, math.nan)
-        self._tell("moved", s.since, end, made, down, right)
+        self._report("moved", s.since, end, made, down, right)
         s.settled, s.count, s.jumped = 0, 0, True
         s.newest[:] = np.nan
         s.changed = s.explained = s.partly = s.replaced = 0
 
-    def _tell(
+    def _report(
         self, what: str, onset: int, end: int, made: Rows, down: float = math.nan, right: float = math.nan
     ) -> None:
-        self.state.told = True
+        self.state.reported = True
         made.append((end - 1, (onset, what, down, right)))
 
     def _chunk(self, made: Rows, until: int) -> Chunk:

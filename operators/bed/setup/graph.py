@@ -31,7 +31,7 @@ class SetupGraph:
 
 
 def small(config: Path, settings: Sequence[str]) -> SetupGraph:
-    """Raises GraphError where the graph has no depth camera, or none of these operators."""
+    """Raises GraphError if the graph lacks a depth camera or all of these operators."""
     whole = load(config, overrides=read(settings))
     cameras = [
         (node, output)

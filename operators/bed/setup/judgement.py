@@ -17,7 +17,7 @@ LEAST_MEASURED = 0.5
 LEAST_INSIDE = 0.75
 """This much of who lies in bed must be within the regions."""
 NOISIER = 2.0
-"""Where nobody lies noise grows this much only in another light."""
+"""In an empty region noise grows this much only in another light."""
 LEAST_BLOCKS = 4
 
 Region = tuple[int, int, int, int]
@@ -149,7 +149,7 @@ def _held(body: Mask, region: Region, who: str, hint: str, least: float) -> Find
     whole = int(body.sum())
     if whole < LEAST_BLOCKS:
         return Finding(
-            False, f"nobody was seen lying there{who}: does the camera see the whole bed, and did you lie down in time?"
+            False, f"no person was seen in bed{who}: does the camera see the whole bed, and did you lie down in time?"
         )
     row, column, rows, columns = region
     mine = body[row : row + rows, column : column + columns]
@@ -168,7 +168,7 @@ def _held(body: Mask, region: Region, who: str, hint: str, least: float) -> Find
 
 
 def _light(out: Minute, inn: Minute, raised: Mask) -> Finding | None:
-    """Whether it is noisier while somebody lies there, where nobody lies."""
+    """Whether the empty part of the view gets noisier when the bed is occupied."""
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = (inn.noise() / out.noise())[~raised]
     usual = float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else 1.0
@@ -176,7 +176,7 @@ def _light(out: Minute, inn: Minute, raised: Mask) -> Finding | None:
         return Finding(True, "the light is the same in both minutes")
     return Finding(
         False,
-        f"the noise where nobody lies is {usual:.1f} times what it was: another light; check in the light of the night",
+        f"the noise of the empty part is {usual:.1f} times what it was: the light has changed; check in the light of the night",
     )
 
 
@@ -195,8 +195,8 @@ def suggested(bodies: Mapping[str, Mask], block: int) -> str:
     for a, b in pairwise(order.tolist()):
         cut = round(float(edges[a, 2 + side] + edges[b, side]) / 2)
         parts[a, 2 + side] = parts[b, side] = cut
-    told = [[int(v) * block for v in (top, left, end - top, right - left)] for top, left, end, right in parts]
-    return f"try regions: {told}"
+    suggested = [[int(v) * block for v in (top, left, end - top, right - left)] for top, left, end, right in parts]
+    return f"try regions: {suggested}"
 
 
 def _box(body: Mask) -> list[int]:

@@ -31,7 +31,7 @@ _digest = cache(sha256_of)
 
 
 class Raw(NamedTuple):
-    """What the network said: points (39, 5) in its pixels with logits, presence, heat (k, k, 39), world (39, 3) in metres."""
+    """The network's output: points (39, 5) in its pixels with logits, presence, heat (k, k, 39), world (39, 3) in metres."""
 
     points: Samples
     presence: float

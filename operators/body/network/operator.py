@@ -31,7 +31,7 @@ TRACKED = 0.5
 LEAST_PIXELS = 150
 FIGURE = "figure"
 """The name of no network: a standing figure in the person's box."""
-_told: set[str] = set()
+_reported: set[str] = set()
 
 log = structlog.get_logger(__name__)
 
@@ -39,7 +39,7 @@ log = structlog.get_logger(__name__)
 @dataclass(slots=True)
 class PoseNetworkState:
     """
-    model     the network's file; "": there is none
+    model     the network's file; "": no network
     pairing   frames that wait for their partner
     in_step   whether images are of the time that their stamps say
     square    (4,)  where to look next: x, y, side, turn; NaN: in the person's box
@@ -59,18 +59,18 @@ class PoseNetwork(Operator[PoseNetworkState]):
 
     BlazePose full (Apache-2.0; `kinegraph files fetch pose-model`) by LiteRT, on colour, grey or infrared, some 10 ms a frame: put it on a
     `worker`. It looks where the depth says that the person is, so no frame is spent on finding people. One sample comes out for every
-    frame of depth, NaN where nobody is seen or no image was taken within `apart_s`. It can be recorded where images are not, and
+    frame of depth, NaN without a person in view or an image within `apart_s`. It can be recorded where images are not, and
     everything after it computed from it again. Images that show another moment than their stamps say, by 50 ms or more, are found out by
     the outline that moves in them and in the depth, within seconds; they are left alone, and the log says so. It is not what the network
     says alone: the depth at every landmark and where the body's shape faces are in it. With `needed: false` a graph runs where the network
-    or its runtime is missing, too: every sample is then as if nobody were seen, and the log says once what would have to be done.
+    or its runtime is missing, too: every sample is then NaN, and the log reports once what to install.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("image", "person")
     references: ClassVar[str] = "MediaPipe Pose (network, refinement by heat maps, next square)"
 
     model: str = param("", help="the network's file; left out: the one that `kinegraph files fetch pose-model` brings")
-    needed: bool = param(True, help="false: without the network nobody is seen, and the graph runs on")
+    needed: bool = param(True, help="false: without the network the graph runs and finds no person")
     apart_s: float = param(0.02, above=0.0, most=1.0, help="an image and a depth frame further apart are no pair")
     reset_gap_s: float = reset_gap(
         0.5, "after a longer gap the person is looked for in the box of the depth again", above=0.0
@@ -86,7 +86,7 @@ class PoseNetwork(Operator[PoseNetworkState]):
                 "image", image.describe(), f"{height} x {width} uint8, or {height} x {width} x 3: aligned to the depth"
             )
         if camera_of(person) is None:
-            raise InputError("person", "a stream of unknown geometry", "one whose spec says `camera`: fx, fy, cx, cy")
+            raise InputError("person", "a stream of unknown geometry", "one with `camera` in its spec: fx, fy, cx, cy")
         model = FIGURE if self.model == FIGURE else self._found()
         pairing = Pairing.within(self.apart_s, image, person)
         self.set_state(PoseNetworkState(model, pairing, InStep.for_frames(person), np.full(4, np.nan), 0))
@@ -102,9 +102,9 @@ class PoseNetwork(Operator[PoseNetworkState]):
         except ParameterError as error:
             if self.needed:
                 raise
-            if str(error) not in _told:
-                _told.add(str(error))
-                log.warning("there is no pose network: nobody is seen by it", reason=str(error))
+            if str(error) not in _reported:
+                _reported.add(str(error))
+                log.warning("no pose network: it finds no person", reason=str(error))
             return ""
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:

@@ -55,7 +55,7 @@ class Pairing:
         return cls(round(apart_s * NS), Waiting.room_for(image, apart_s), Waiting.room_for(depth, apart_s))
 
     def take(self, waiting: Waiting, chunk: Chunk) -> list[tuple[int, int, Array, Array | None]]:
-        """Frames have come; (stamp, lost, depth, image or None) of every depth frame whose partner is known by now."""
+        """Take frames; returns (stamp, lost, depth, image or None) of every depth frame with a known partner."""
         found = []
         for i, time in enumerate(chunk.time.tolist()):
             waiting.add(chunk.data[i], time, chunk.lost if i == 0 else 0)
@@ -63,7 +63,7 @@ class Pairing:
         return found + self.pairs(chunk.until)
 
     def pairs(self, until: int) -> list[tuple[int, int, Array, Array | None]]:
-        """Those whose partner is known once all images up to `until` have come."""
+        """The depth frames with a known partner once all images up to `until` have arrived."""
         found = []
         images, depths = self.images, self.depths
         while depths.count:

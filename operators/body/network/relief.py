@@ -19,7 +19,7 @@ GREY = 128
 
 @kernel(nogil=True)
 def light(frame: NDArray[np.uint16], reach: int, smooth: Samples, out: NDArray[np.uint8]) -> None:
-    """How `frame` (h, w) in mm, 0 where nobody is, looks lit from the upper left, on grey, into `out` (h, w). `smooth` (h, w) is room."""
+    """Renders `frame` (h, w) in mm, 0 outside the person, lit from the upper left on grey, into `out` (h, w). `smooth` (h, w) is room."""
     h, w = frame.shape
     for y in range(h):
         for x in range(w):
@@ -56,7 +56,7 @@ class ReliefState:
 class Relief(Operator[ReliefState]):
     """Depth of a person in (0 elsewhere), a grey image of the body's surface under light from the side out: (height, width) uint8.
 
-    For a pose network where there is no image or none is wanted: nobody can be recognised in it, and it works in the dark.
+    For a pose network without a camera image: it protects the person's identity, and works in the dark.
     """
 
     reach: int = param(2, least=0, most=5, help="depth is smoothed over this many pixels to each side")
@@ -64,7 +64,7 @@ class Relief(Operator[ReliefState]):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         if spec.dtype != np.uint16 or len(spec.shape) != 2:
-            raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 where nobody is")
+            raise InputError("in", spec.describe(), "depth frames (height, width) uint16 in mm, 0 outside the person")
         self.set_state(ReliefState(np.zeros(spec.shape)))
         return {"out": spec.derive(dtype=np.dtype(np.uint8), units=("",))}
 

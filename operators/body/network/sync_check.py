@@ -24,12 +24,12 @@ LEAST_PIXELS, MOST_SHARE = 20, 0.5
 OUT_S = 0.05
 """Half of what is a fault: exposure and readout alone are shorter."""
 CLEARER = 1.15
-"""How much better another lag must fit than none. Rendered people: 1.3 and more (walking towards the camera is worst)."""
+"""How much better another lag must fit than lag 0. Rendered people: 1.3 and more (walking towards the camera is worst)."""
 
 
 @dataclass(slots=True)
 class InStep:
-    """What is remembered of the newest 2 r + 1 pairs, the newest at number `at` of a ring, and what they said.
+    """State of the newest 2 r + 1 pairs (a ring, the newest at `at`), and their results.
 
     image   (h, w)             the newest image
     person  (h, w)             where the person was in the newest depth frame
@@ -93,9 +93,9 @@ class InStep:
             return
         if out or self.scores[near].max() > CLEARER * self.scores[~near].max():
             self.out = out
-            self._tell(float(lags_s[best]))
+            self._report(float(lags_s[best]))
 
-    def _tell(self, lag_s: float) -> None:
+    def _report(self, lag_s: float) -> None:
         if not self.out:
             log.warning("images are in step with the depth again")
             return

@@ -1,4 +1,4 @@
-"""A network without the outputs that nobody reads, and what is computed for them alone; the others keep every bit."""
+"""Removes a network's unread outputs and the layers that only they need; the other outputs keep every bit."""
 
 from __future__ import annotations
 

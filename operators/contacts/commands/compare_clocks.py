@@ -15,7 +15,7 @@ from kinegraph.stream.text.safe_text import say
 
 
 def compare_clocks(
-    first: Annotated[Path, typer.Argument(help="the recording whose clock counts", metavar="FIRST")],
+    first: Annotated[Path, typer.Argument(help="the recording with the reference clock", metavar="FIRST")],
     second: Annotated[Path, typer.Argument(help="the other recording", metavar="SECOND")],
     stream: Annotated[
         str, typer.Option("--stream", help="the pulses in the first: events, or a channel STREAM:CHANNEL")

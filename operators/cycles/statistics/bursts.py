@@ -76,7 +76,7 @@ class CycleBursts(Operator[BurstsState]):
     of_peak: float = param(0.15, least=0.0, below=1.0, help="a burst reaches this part of the cycle's peak at least")
     least_pct: int = param(3, least=1, most=50, help="a burst lasts this long at least, % of the cycle")
     join_pct: int = param(3, least=0, most=50, help="bursts that are less apart are one, % of the cycle")
-    quiet_pct: int = param(10, least=2, most=50, help="the stretch whose level is the baseline, % of the cycle")
+    quiet_pct: int = param(10, least=2, most=50, help="length of the stretch that gives the baseline, % of the cycle")
 
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
@@ -84,8 +84,8 @@ class CycleBursts(Operator[BurstsState]):
             raise ParameterError("off_sd", self.off_sd, f"at most on_sd ({self.on_sd:g})")
         n = spec.shape[1]
         state = BurstsState(
-            Expected.none(specs["closed"].dtype), np.full((2, n, 20), np.nan), np.zeros(n, np.int64), RunningCurve.none(POINTS, n),
-            RunningCurve.none(MAIN, n), CycleHistory.none(POINTS + MAIN, n), Belonging.of(spec), list(spec.channels),
+            Expected.empty(specs["closed"].dtype), np.full((2, n, 20), np.nan), np.zeros(n, np.int64), RunningCurve.empty(POINTS, n),
+            RunningCurve.empty(MAIN, n), CycleHistory.empty(POINTS + MAIN, n), Belonging.of(spec), list(spec.channels),
         )  # fmt: skip
         self.set_state(state, decision_s={"bursts": 0.0, "session": 0.0})
         unit = spec.units[0] if len(spec.units) == 1 else ""
@@ -214,7 +214,7 @@ def _longest(flags: Array) -> int:
 
 
 def _main(found: list[tuple[int, int]], peak: int) -> Samples:
-    """The burst that holds the peak: cos and sin of its ends, its length, and how many bursts there are; NaN where none holds it."""
+    """The burst with the peak: cos and sin of its ends, its length, and the number of bursts; NaN if the peak is outside all bursts."""
     for on, length in found:
         if (peak - on) % POINTS < length:
             turn = 2 * np.pi / POINTS * np.array([on, on + length])

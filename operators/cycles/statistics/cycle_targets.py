@@ -53,7 +53,7 @@ class TargetsState:
 class CycleTargets(Operator[TargetsState]):
     """Cycles and their events in; after every accepted cycle, how it stands to each target.
 
-    targets  one event per target whose muscle the cycle has (`TARGET`)
+    targets  one event per target with its muscle in the cycle (`TARGET`)
     values   (targets,) the latest value of each target, for a listener (LSL, OSC); NaN until there is one
 
     Reported with the cycle: as late after its closing touch-down as `check` says. One reported again (a person left it out) comes as
@@ -78,7 +78,7 @@ class CycleTargets(Operator[TargetsState]):
             raise ParameterError("targets", names, "at least one target, each muscle and phase once")
         n = len(names)
         places = np.array([spec.channels.index(t.muscle) for t in self.targets])
-        expected = Expected.none(specs["closed"].dtype)
+        expected = Expected.empty(specs["closed"].dtype)
         self.set_state(
             TargetsState(expected, np.zeros(n, np.int64), np.zeros(n, np.int64), places, np.full(n, np.nan)),
             decision_s={"targets": 0.0},
@@ -97,8 +97,8 @@ class CycleTargets(Operator[TargetsState]):
             s.expected.note(chunk)
         else:
             for stamp, closed, curve in s.expected.matched(chunk):
-                told = self._rows(closed[0], only_finite(curve))
-                made.append((stamp, told, s.values.copy()))
+                targets = self._rows(closed[0], only_finite(curve))
+                made.append((stamp, targets, s.values.copy()))
         made = [one for one in made if len(one[1])]
         lost, stamps = -1 if chunk.lost else 0, np.array([stamp for stamp, *_ in made], np.int64)
         rows = [rows for _, rows, _ in made]

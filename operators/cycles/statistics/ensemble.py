@@ -32,7 +32,7 @@ class EnsembleState:
     kept (remember, 100, m)   the latest cycles, a ring; `seen` in all; kept_numbers (remember,)
     history                   what can still be revised
     tally                     of the session's cycles, accepted and rejected
-    told, never, blanks       the newest `until` that has gone out; stamps and samples of nothing, by output
+    reported, never, blanks   the newest `until` that was emitted; stamps and samples of nothing, by output
     counted (m,)              how many cycles of its limb were added up
     co_contraction            of the pairs
     """
@@ -48,7 +48,7 @@ class EnsembleState:
     tally: StrideTally
     co_contraction: CoContraction
     names: list[str]
-    told: int
+    reported: int
     never: Times
     blanks: list[Array]
 
@@ -91,9 +91,9 @@ class CycleEnsemble(Operator[EnsembleState]):
         n = spec.shape[1]
         self.set_state(
             EnsembleState(
-                Expected.none(specs["closed"].dtype), RunningCurve.none(POINTS, n),
+                Expected.empty(specs["closed"].dtype), RunningCurve.empty(POINTS, n),
                 Belonging.of(spec), np.zeros(n, np.int64), np.full((self.remember, POINTS, n), np.nan),
-                np.full(self.remember, -1), 0, CycleHistory.none(POINTS, n), StrideTally.none(self.over),
+                np.full(self.remember, -1), 0, CycleHistory.empty(POINTS, n), StrideTally.empty(self.over),
                 CoContraction.of(self.pairs, spec), list(spec.channels), NEVER,
                 np.empty(0, np.int64), [self._blank(name, (POINTS, n)) for name in self.outputs],
             ),
@@ -115,13 +115,13 @@ class CycleEnsemble(Operator[EnsembleState]):
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]] | None:
         s = self.state
         if not len(chunk.time) and not chunk.lost:
-            if chunk.until <= s.told:
+            if chunk.until <= s.reported:
                 return None
-            s.told = int(chunk.until)
+            s.reported = int(chunk.until)
             return [
                 (name, Chunk(s.never, blank, chunk.until)) for name, blank in zip(self.outputs, s.blanks, strict=True)
             ]
-        s.told = max(s.told, int(chunk.until))
+        s.reported = max(s.reported, int(chunk.until))
         made: dict[str, list[tuple[int, Array]]] = {name: [] for name in self.outputs}
         if port == "closed":
             s.expected.note(chunk)

@@ -78,7 +78,7 @@ class MedianFrequency(Operator[MedianFrequencyState]):
         )
         limbs = Belonging.of(closed)
         state = MedianFrequencyState(
-            RecentSamples.of(keep, m), np.zeros((5, m)), CycleHistory.none(3, m), -1, spec.period_ns, limbs, names
+            RecentSamples.of(keep, m), np.zeros((5, m)), CycleHistory.empty(3, m), -1, spec.period_ns, limbs, names
         )
         self.set_state(state, decision_s={"out": 0.0})
         meta = {**spec.meta, **{k: v for k, v in specs["closed"].meta.items() if k in ("limbs", "muscles", "side")}}

@@ -37,10 +37,10 @@ def read_bands(path: Path, sds: float) -> tuple[str, dict[str, Samples]]:
             f"{path}: line {start}: has {', '.join(filter(None, names)) or 'no columns'}; it needs {ACCEPTED}"
         )
     columns = [names.index(name) for name in ("cycle_pct", *pair)]
-    told = {units[i] for i in columns[1:]}
-    if len(told) > 1:
+    found = {units[i] for i in columns[1:]}
+    if len(found) > 1:
         raise NormError(
-            f"{path}: line {start}: {' and '.join(pair)} have the units {', '.join(sorted(told))}; one is needed"
+            f"{path}: line {start}: {' and '.join(pair)} have the units {', '.join(sorted(found))}; one is needed"
         )
     points: dict[str, dict[float, tuple[float, float]]] = {}
     for number, row in rows[1:]:
@@ -52,7 +52,7 @@ def read_bands(path: Path, sds: float) -> tuple[str, dict[str, Samples]]:
     wrong = next((muscle for muscle, (low, high) in bands.items() if not (low <= high).all()), "")
     if wrong:
         raise NormError(f"{path}: the band of {wrong} has a low above its high")
-    return told.pop(), bands
+    return found.pop(), bands
 
 
 def _named(head: str) -> tuple[str, str]:

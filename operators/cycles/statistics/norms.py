@@ -30,7 +30,7 @@ STEP_PCT = 100 / POINTS
 
 @dataclass(slots=True)
 class NormativeBandsState:
-    """low, high (100, m): the bands; NaN where a muscle has none."""
+    """low, high (100, m): the bands; NaN for a muscle without a band."""
 
     expected: Expected
     low: Samples
@@ -63,12 +63,12 @@ class NormativeBands(Operator[NormativeBandsState]):
         unit = spec.units[0] if len(spec.units) == 1 else ""
         low, high = (np.full((POINTS, spec.shape[1]), np.nan) for _ in range(2))
         try:
-            told, bands = read_bands(Path(self.file), self.sds)
+            found, bands = read_bands(Path(self.file), self.sds)
         except KinegraphError as error:
             raise ParameterError("file", self.file, f"a table of bands: {error}") from None
-        if told != unit:
+        if found != unit:
             raise ParameterError(
-                "file", f"bands in {told or 'no unit'}", f"bands in {unit or 'no unit'}, as the cycles are"
+                "file", f"bands in {found or 'no unit'}", f"bands in {unit or 'no unit'}, as the cycles are"
             )
         muscles = dict(spec.meta.get("muscles") or {})
         for i, channel in enumerate(spec.channels):
@@ -78,7 +78,7 @@ class NormativeBands(Operator[NormativeBandsState]):
         if np.isnan(low).all():
             raise ParameterError("file", ", ".join(bands), f"bands of these muscles: {', '.join(spec.channels)}")
         state = NormativeBandsState(
-            Expected.none(specs["closed"].dtype), low, high, Belonging.of(spec), list(spec.channels)
+            Expected.empty(specs["closed"].dtype), low, high, Belonging.of(spec), list(spec.channels)
         )
         self.set_state(state, decision_s={"against": 0.0})
         meta = {**spec.meta, "norms": Path(self.file).name}

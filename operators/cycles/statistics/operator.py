@@ -39,7 +39,7 @@ STATISTICS = np.dtype(
 )
 
 NOTHING = 1e-9
-"""A mean below this part of the peak is none: no part of it can be told."""
+"""Means below this fraction of the peak are treated as zero."""
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class CycleStatisticsState:
     top    (muscles,) highest value so far
     history   what can still be revised, in the same space
     flags, flag_of (muscles,)   the latest flag of each muscle, and of which cycle it is
-    told   the newest `until` that has gone out; never, blank: stamps and samples of nothing
+    reported   the newest `until` that was emitted; never, blank: stamps and samples of nothing
     """
 
     expected: Expected
@@ -60,7 +60,7 @@ class CycleStatisticsState:
     flag_of: Times
     limbs: Belonging
     names: list[str]
-    told: int
+    reported: int
     never: Times
     blank: Array
 
@@ -108,9 +108,9 @@ class CycleStatistics(Operator[CycleStatisticsState]):
         nothing = (NEVER, np.empty(0, np.int64), np.empty(0, STATISTICS))
         self.set_state(
             CycleStatisticsState(
-                Expected.none(specs["closed"].dtype), RunningCurve.none(spec.shape[0], n),
+                Expected.empty(specs["closed"].dtype), RunningCurve.empty(spec.shape[0], n),
                 np.zeros(n),
-                CycleHistory.none(spec.shape[0], n),
+                CycleHistory.empty(spec.shape[0], n),
                 np.zeros(n, np.int64), np.full(n, -1), Belonging.of(spec), list(spec.channels), *nothing,
             ),
             decision_s={"out": 0.0},
@@ -124,11 +124,11 @@ class CycleStatistics(Operator[CycleStatisticsState]):
     def process(self, port: str, chunk: Chunk) -> Chunk | None:
         s = self.state
         if not len(chunk.time) and not chunk.lost:
-            if chunk.until <= s.told:
+            if chunk.until <= s.reported:
                 return None
-            s.told = int(chunk.until)
+            s.reported = int(chunk.until)
             return Chunk(s.never, s.blank, chunk.until)
-        s.told = max(s.told, int(chunk.until))
+        s.reported = max(s.reported, int(chunk.until))
         rows, stamps = [], []
         if port == "judged":
             for row in chunk.data:
@@ -172,8 +172,8 @@ class CycleStatistics(Operator[CycleStatisticsState]):
             rows[f"mean_{part}"] = total / count if count else np.nan
             rows[f"integrated_{part}"] = total * (duration / points)
         rows["contact_pct"] = shifted_pct(curve, stance, 100.0 * self.contact_s / duration) if known else np.nan
-        told = self.state.flag_of == int(closed["number"])
-        rows["flag"] = np.where(told, np.array(FLAGS)[self.state.flags], "")
+        known_flag = self.state.flag_of == int(closed["number"])
+        rows["flag"] = np.where(known_flag, np.array(FLAGS)[self.state.flags], "")
         rows["deviation"] = self._deviation(int(closed["number"]), curve, absent)
         return rows
 

@@ -23,7 +23,7 @@ STAGE_SO_FAR = np.dtype(
 
 @dataclass(slots=True)
 class StageCurvesState:
-    """curve: of the stage under way;  history: its cycles that may be told again;  stage: its name, cycles: how many."""
+    """curve: of the stage under way;  history: its cycles that may be emitted again;  stage: its name, cycles: how many."""
 
     expected: Expected
     curve: RunningCurve
@@ -40,8 +40,8 @@ class StageCurves(Operator[StageCurvesState]):
     mean, sd   (100, muscles) mean and standard deviation (n - 1) of the stage's accepted cycles, point by point; NaN until there are enough
     sofar      one event with each (`STAGE_SO_FAR`)
 
-    A cycle across two stages, or in none, gives nothing. A stage restarts when a cycle of another has come in between. A cycle that is
-    told again is taken out of its stage's curve as long as that stage is under way; afterwards its curve has gone out as it was.
+    A cycle across two stages, or outside any, gives nothing. A stage restarts after a cycle of another one. A cycle that is
+    emitted again is taken out of its stage's curve as long as that stage is under way; afterwards its curve has gone out as it was.
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
@@ -56,7 +56,7 @@ class StageCurves(Operator[StageCurvesState]):
             )
         n = spec.shape[1]
         state = StageCurvesState(
-            Expected.none(closed.dtype), RunningCurve.none(POINTS, n), CycleHistory.none(POINTS, n), "", 0
+            Expected.empty(closed.dtype), RunningCurve.empty(POINTS, n), CycleHistory.empty(POINTS, n), "", 0
         )
         self.set_state(state, decision_s={"sofar": 0.0})
         return {
@@ -114,7 +114,7 @@ class StageCurves(Operator[StageCurvesState]):
     def _take(self, closed: np.void, curve: Array) -> None:
         s, stage = self.state, str(closed["stage"])
         if stage != s.stage:
-            s.curve, s.stage, s.cycles = RunningCurve.none(*s.curve.mean.shape), stage, 0
+            s.curve, s.stage, s.cycles = RunningCurve.empty(*s.curve.mean.shape), stage, 0
             s.history.curves[:] = np.nan
         s.history.put(int(closed["number"]), curve)
         s.curve.add(curve)

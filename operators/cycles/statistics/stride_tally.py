@@ -26,7 +26,7 @@ class StrideTally:
     reasons: Array
 
     @staticmethod
-    def none(over: int) -> StrideTally:
+    def empty(over: int) -> StrideTally:
         return StrideTally(
             np.full(over, np.nan), np.full(over, np.nan), np.full(over, -1), 0, 0, np.zeros(len(REASONS), np.int64)
         )

@@ -35,9 +35,9 @@ SYMMETRY = np.dtype(
 class SymmetryState:
     """
     numbers, onsets, ends (2, 64)   of the latest cycles of both limbs, rings; seen (2,)
-    values (2, 64, k)               their measures;  partner (64,) the first limb's cycle beside each of the second's; -1: none
+    values (2, 64, k)               their measures;  partner (64,) the first limb's cycle beside each of the second's, or -1
     indices (64, k)                 what was added up of each pair; session: of all
-    pending                         the stamp of cycles whose measures are coming; changed (2, 64): 1 for those
+    pending                         the stamp of cycles that still wait for measures; changed (2, 64): 1 for those
     channels                        of the first limb's muscles, then of the second's
     """
 
@@ -76,21 +76,23 @@ class LimbSymmetry(Operator[SymmetryState]):
     pair: tuple[str, ...] = param((), help="the two limbs; empty: the first two")
 
     def open(self, specs: Specs) -> Specs:
-        closed, told = specs["closed"], specs["statistics"]
-        limbs = limbs_of(told)
+        closed, statistics = specs["closed"], specs["statistics"]
+        limbs = limbs_of(statistics)
         if not is_closed(closed.dtype) or "limb" not in (closed.dtype.names or ()) or len(limbs) < 2:
             raise InputError(
                 "closed", closed.describe(), "cycles of several limbs (operators.cycles.limb_cycles.LimbCycles)"
             )
-        if told.dtype != STATISTICS:
-            raise InputError("statistics", told.describe(), "what operators.cycles.statistics.CycleStatistics gives")
+        if statistics.dtype != STATISTICS:
+            raise InputError(
+                "statistics", statistics.describe(), "what operators.cycles.statistics.CycleStatistics gives"
+            )
         for limb in self.pair:
             if limb not in limbs:
                 raise ParameterError("pair", limb, f"one of the limbs; {nearest(limb, limbs)}")
         if self.pair and len(set(self.pair)) != 2:
             raise ParameterError("pair", list(self.pair), "two different limbs")
-        first, second = self._pair(told)
-        muscle = dict(told.meta["muscles"])
+        first, second = self._pair(statistics)
+        muscle = dict(statistics.meta["muscles"])
         there = {muscle[name] for name in limbs[second]}
         muscles = [muscle[name] for name in limbs[first] if muscle[name] in there]
         channels = [
@@ -101,12 +103,12 @@ class LimbSymmetry(Operator[SymmetryState]):
         self.set_state(
             SymmetryState(
                 np.full(both, -1), np.zeros(both, np.int64), np.zeros(both, np.int64), np.zeros(2, np.int64), np.full((*both, k), np.nan),
-                np.full(REVISABLE, -1), np.full((REVISABLE, k), np.nan), RunningCurve.none(1, k), NEVER, np.zeros(both, np.int64),
+                np.full(REVISABLE, -1), np.full((REVISABLE, k), np.nan), RunningCurve.empty(1, k), NEVER, np.zeros(both, np.int64),
                 [first, second], muscles, channels,
             ),
             decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
-        meta = {**told.meta, "pair": [first, second], "symmetry_index": "Robinson 1987"}
+        meta = {**statistics.meta, "pair": [first, second], "symmetry_index": "Robinson 1987"}
         units = ("ns", "ns", *(5 * [""]), "%", "%", "%", "%", "")
         return {"out": StreamSpec((), SYMMETRY, units=units, meta=meta)}
 
@@ -128,7 +130,7 @@ class LimbSymmetry(Operator[SymmetryState]):
         n, rng = 24, np.random.default_rng(4)
         meta = {"limbs": {"left": ["L_TA"], "right": ["R_TA"]}, "muscles": {"L_TA": "TA", "R_TA": "TA"}}
         onset = NS + np.arange(n) * (NS // 2)
-        closed, told = np.zeros(n, LIMB_CLOSED), np.zeros(n, STATISTICS)
+        closed, statistics = np.zeros(n, LIMB_CLOSED), np.zeros(n, STATISTICS)
         closed["onset"], closed["end"], closed["number"] = onset, onset + NS, np.arange(1, n + 1)
         closed["limb"], closed["duration_s"], closed["stance_pct"] = (
             np.resize(["left", "right"], n),
@@ -136,24 +138,27 @@ class LimbSymmetry(Operator[SymmetryState]):
             60 + rng.random(n),
         )
         for name in ("onset", "end", "number"):
-            told[name] = closed[name]
-        told["name"] = np.resize(["L_TA", "R_TA"], n)
+            statistics[name] = closed[name]
+        statistics["name"] = np.resize(["L_TA", "R_TA"], n)
         for name in MEASURES:
-            told[name] = 100 + rng.random(n)
+            statistics[name] = 100 + rng.random(n)
         stamps = onset + NS + 20_000_000
         back = closed[9:10].copy()
         back["rejected"] = "by hand"
         again = np.concatenate([closed[:12], back, closed[12:14], closed[9:10], closed[14:]])
         when = stamps[[*range(12), 11, 12, 13, 13, *range(14, n)]]
-        rows, at = np.concatenate([told[:14], told[9:10], told[14:]]), stamps[[*range(14), 13, *range(14, n)]]
+        rows, at = (
+            np.concatenate([statistics[:14], statistics[9:10], statistics[14:]]),
+            stamps[[*range(14), 13, *range(14, n)]],
+        )
         inputs = {
             "closed": (StreamSpec((), LIMB_CLOSED, units=("",), meta=meta), when, again),
             "statistics": (StreamSpec((), STATISTICS, units=("",), meta=meta), at, rows),
         }
         return [Case(cls(), inputs, least=40), Case(cls(pair=("right", "left")), inputs, least=40)]
 
-    def _pair(self, told: StreamSpec) -> tuple[str, str]:
-        first, second, *_ = self.pair or tuple(limbs_of(told))
+    def _pair(self, statistics: StreamSpec) -> tuple[str, str]:
+        first, second, *_ = self.pair or tuple(limbs_of(statistics))
         return first, second
 
     def _closed(self, row: np.void) -> None:
@@ -192,7 +197,7 @@ class LimbSymmetry(Operator[SymmetryState]):
             s.changed[limb, k], s.pending = 1, stamp
 
     def _settle(self, out: list[tuple[int, Array]], until: int) -> None:
-        """Make the pairs whose measures are all there."""
+        """Make the pairs that have all measures."""
         s = self.state
         if s.pending == NEVER or s.pending > until:
             return

@@ -40,13 +40,13 @@ def calibrate(
         File | None, typer.Option("-o", "--out", help="the reference to be made [default: SUBJECT.KIND.json]")
     ] = None,
     config: Annotated[
-        File | None, typer.Option(help="the graph whose envelope is meant [default: the recording's own]")
+        File | None, typer.Option(help="the graph with the envelope to use [default: the recording's own]")
     ] = None,
     emg: Annotated[str, typer.Option(metavar="STREAM", help="the raw EMG [default: the only one in volts]")] = "",
     touchdown: Annotated[
         str, typer.Option(metavar="STREAM", help="for task: the foot's contacts [default: the only one so named]")
     ] = "",
-    subject: Annotated[str, typer.Option(help="whose it is [default: as recorded]")] = "",
+    subject: Annotated[str, typer.Option(help="the person's name [default: as recorded]")] = "",
     window_s: Annotated[
         float, typer.Option(min=0.05, max=10.0, help="for mvc: over how long the strongest mean is taken")
     ] = 0.5,
@@ -129,7 +129,7 @@ def raw_emg(recording: Recording) -> str:
 
 
 def envelope_of(text: str, where: str) -> Envelope:
-    """The envelope that a graph's text describes; the default one where it has none. Raises KinegraphError where it has several."""
+    """The envelope that a graph's text describes; the default one without any. Raises KinegraphError for several."""
     from ruamel.yaml import YAML
 
     from kinegraph.operators.emg.envelope import Envelope
@@ -161,7 +161,7 @@ def _only(recording: Recording, what: str, fits: Any, ends: str = "") -> str:
     names = [name for name, stream in fitting.items() if stream.role == "input"] or list(fitting)
     if len(names) == 1:
         return names[0]
-    some = f"it may be {' or '.join(names)}" if names else f"none of {', '.join(recording.streams)} seems to"
+    some = f"it may be {' or '.join(names)}" if names else f"no stream of {', '.join(recording.streams)} seems to"
     raise KinegraphError(
         f"{recording.path}: which stream holds the {what}? Name it with {'--touchdown' if ends else '--emg'}; {some}"
     )
@@ -173,7 +173,7 @@ def _show(made: AmplitudeReference, flags: list[str], target: File) -> None:
     console = Screen()
     console.print(_table(made, flags))
     console.print(
-        f"{target}: {made.kind} of {made.subject or 'nobody named'}, {made.date or 'on an unknown day'}, {made.note}"
+        f"{target}: {made.kind} of {made.subject or 'an unnamed person'}, {made.date or 'on an unknown day'}, {made.note}"
     )
 
 

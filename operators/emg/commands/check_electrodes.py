@@ -29,7 +29,7 @@ REST_S, CONTRACTION_S = 5.0, 10.0
 
 def check_electrodes(
     source: Annotated[
-        File, typer.Argument(help="the graph whose EMG is to be checked live, or a recording", metavar="GRAPH|FILE")
+        File, typer.Argument(help="the graph with the EMG to check live, or a recording", metavar="GRAPH|FILE")
     ],
     rest: Annotated[
         str, typer.Option(metavar="A-B", help="seconds of rest from the beginning [default: the first 5 s]")
@@ -126,11 +126,11 @@ def _impedances(graph: Graph) -> list[Impedance]:
     found: list[Impedance] = []
     for node in graph.sources:
         assert isinstance(node.part, Source)
-        told = node.part.impedances(LoneFeed())
-        if told is None:
+        measured = node.part.impedances(LoneFeed())
+        if measured is None:
             continue
         say(f"first, keep still: {node.name} measures the electrodes' impedances one after the other", err=True)
-        found += told
+        found += measured
     return found
 
 

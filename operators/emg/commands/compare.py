@@ -25,7 +25,7 @@ def compare(
     node: Annotated[
         str,
         typer.Option(
-            metavar="NODE", help="a node or a limb (left): whose cycles, where a session has those of several legs"
+            metavar="NODE", help="the node or limb (left) to compare, if a session has cycles of several legs"
         ),
     ] = "",
     relevant: Annotated[
@@ -38,7 +38,7 @@ def compare(
     The report shows the scatter of cycles, the divergence of mixtures, which sessions resemble each other, and where mean curves differ.
 
     Each leg is compared with the same leg, each stage with the same stage; the legs of a single recording with each other. A job of a
-    batch counts as a recording. Sessions whose curves were normalised or filtered otherwise are refused.
+    batch counts as a recording. It refuses sessions with curves normalised or filtered differently.
     """
     from kinegraph.operators.emg.commands.comparison import compare_sessions
     from kinegraph.operators.emg.commands.comparison_groups import by_stage, groups_of

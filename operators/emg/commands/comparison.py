@@ -160,7 +160,7 @@ def _known(curves: Samples) -> Samples:
 
 
 def _distances(made: list[References], at: list[int], mixer: PeakMixtures) -> Samples:
-    """The divergences (n, n) of a muscle's mixtures; NaN where one has none."""
+    """The divergences (n, n) of a muscle's mixtures; NaN where one is missing."""
     turns = mixer.fitting().turns
     return np.array(
         [

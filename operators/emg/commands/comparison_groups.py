@@ -39,7 +39,7 @@ def by_stage(session: SessionCycles) -> list[SessionCycles]:
 
 
 def groups_of(recordings: list[list[SessionCycles]]) -> tuple[list[Group], list[str]]:
-    """The groups of sessions that are compared, by the recordings that they are of, and what is to be said about it.
+    """The groups of sessions to compare, by their recordings, and remarks about them.
 
     Of several recordings, the same leg in the same stage. Of one recording, its legs in the same stage; of one leg alone, its stages.
     """

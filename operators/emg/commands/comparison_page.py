@@ -131,7 +131,7 @@ def _scatter_table(part: list[Scatter], title: str) -> dict[str, object]:
 
 
 def stretches(places: list[int]) -> str:
-    """Places in % as stretches: "3-9, 41"; "nowhere" for none."""
+    """Places in % as stretches: "3-9, 41"; "nowhere" if empty."""
     made = list[list[int]]()
     for p in places:
         if made and p == made[-1][1] + 1:

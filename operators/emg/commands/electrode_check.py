@@ -143,7 +143,7 @@ def _strongest(levels: Samples) -> Samples:
 
 
 def _shared(data: Samples, rate_hz: float, usable: list[int]) -> tuple[Samples, Times]:
-    """The highest correlation (channels,) of each usable channel with another one above 20 Hz, and with which (-1: none)."""
+    """The highest correlation (channels,) of each usable channel with another one above 20 Hz, and with which (-1 without one)."""
     best, other = np.zeros(data.shape[1]), np.full(data.shape[1], -1)
     x = sosfiltfilt(butter(4, 20.0, "highpass", fs=rate_hz, output="sos"), np.nan_to_num(data), axis=0)
     norm = np.sqrt((x**2).sum(axis=0))

@@ -31,8 +31,8 @@ class SessionCycles:
     curves     (k, 100, m), NaN where a muscle does not count in a cycle;  maxima: their peaks
     alike      what sessions must have in common to be compared
     durations_s (k,)   how long each cycle took
-    limb       whose they are, where the session has several;  channels: as recorded (L_TA); `muscles` are what they stand for (TA)
-    stages (k,)   in which stage each cycle was, "" in none;  stage: that of all of them, "" where they are of several
+    limb       their limb, if the session has several;  channels: as recorded (L_TA); `muscles` are their muscles (TA)
+    stages (k,)   the stage of each cycle, "" outside stages;  stage: that of all of them, "" if they differ
     """
 
     label: str
@@ -54,7 +54,7 @@ class SessionCycles:
 
     def window(self) -> PeakWindow:
         """The cycles as the operators keep them, numbered from 0."""
-        window = PeakWindow.none(max(len(self.curves), 1), len(self.muscles))
+        window = PeakWindow.empty(max(len(self.curves), 1), len(self.muscles))
         peaks = self.maxima.copy()
         order = {int(number): k for k, number in enumerate(self.numbers)}
         keep = np.array([int(number) in order for number in peaks["number"]], bool)
@@ -68,9 +68,9 @@ class SessionCycles:
     def references(self, mixer: PeakMixtures, pairs: int, size: int) -> tuple[References, list[str]]:
         """Every muscle's mixture of these cycles, with its limit from `pairs` of `size` random cycles and the rest, and their names."""
         group, names = muscle_groups(self.muscles, mixer.joint)
-        window, made = self.window(), References.none(len(group))
+        window, made = self.window(), References.empty(len(group))
         slots = window.latest(MOST_CYCLES)
-        fit = ReferenceFit.none(len(slots), group.shape[1], pairs)
+        fit = ReferenceFit.empty(len(slots), group.shape[1], pairs)
         for which, members in enumerate(group):
             size_here = min(size, len(slots) // 2)
             while not fit.go_on(window, slots, members[members >= 0], which, size_here, made, mixer.fitting()):
@@ -126,7 +126,7 @@ def _read(recording: StoredSession, path: Path, node: str, limb: str, several: b
 
 
 def _stages(recording: StoredSession, numbers: Array) -> Array:
-    """The stage of each cycle (k,), from the recorded events that name it; "" where none does."""
+    """The stage of each cycle (k,), from the recorded events; "" if they do not name it."""
     stage = {
         int(row["number"]): str(row["stage"])
         for name, stream in recording.streams.items()
@@ -207,7 +207,7 @@ def joined(sessions: list[SessionCycles]) -> SessionCycles:
 
 
 def other_speeds(sessions: list[SessionCycles]) -> list[str]:
-    """What to say of sessions whose cycles take a tenth longer, or less long, than the first's: what differs may be the speed."""
+    """Warnings for sessions with cycle durations more than a tenth off the first's: the speed may differ."""
     took = [float(np.median(session.durations_s)) if len(session.durations_s) else np.nan for session in sessions]
     return [
         f"{session.label}: cycles of {mine:.2f} s, {mine / took[0]:.2f} times those of {sessions[0].label}; "

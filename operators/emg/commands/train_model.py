@@ -24,7 +24,7 @@ def emg_model(
         ),
     ],
     output: Annotated[File, typer.Option("-o", "--out", help="the model to be made")] = File("emg-model.npz"),
-    node: Annotated[str, typer.Option(metavar="NODE", help="whose cycles, where a session has those of several")] = "",
+    node: Annotated[str, typer.Option(metavar="NODE", help="the node with the cycles, if a session has several")] = "",
     cycles: Annotated[int, typer.Option(min=2, max=100, help="of the window that will be compared with it")] = 3,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
 ) -> None:

@@ -50,8 +50,8 @@ class MixtureDriftState:
     """
     window    the latest cycles
     refit     the newest cycles' mixture, followed from a reference
-    first, stored   the references of each mixture;  limb (g,): whose muscles it is of
-    other (o,)      the other leg's latest mixtures;  pairing (g,): which of them is each one's counterpart, -1: none
+    first, stored   the references of each mixture;  limb (g,): the limb of its muscles
+    other (o,)      the other leg's latest mixtures;  pairing (g,): each one's counterpart among them, or -1
     fresh (g,)   mixtures since the last window that was judged
     moved        what has moved away, from which reference;  stage: of each limb
     """
@@ -92,7 +92,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
     before the first cycles are there and all pairs are fitted (`pace`: some 200 samples a muscle).
 
     A cycle that is taken back after the reference was made stays in it. Where `closed` has stages (`operators.cycles.stages.Stages`), the
-    reference is that of the stage's `first` cycles: another stage, or a belt whose speed differs by more than 0.1 m/s, begins another, and
+    reference is that of the stage's `first` cycles: another stage, or a belt speed more than 0.1 m/s different, begins another, and
     ends an alarm. The stored reference stays.
     """
 
@@ -105,7 +105,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
     pairs: int = param(100, least=10, most=1000, help="pairs of random parts that the limit is taken from")
     cycles: int = param(3, least=2, most=200, help="how many of the latest cycles are compared with a reference")
     windows: int = param(3, least=1, most=100, help="how many windows in a row must exceed the limit")
-    reference: str = param("", help="a stored reference; empty: none")
+    reference: str = param("", help="a stored reference; empty: only the session's own")
 
     def open(self, specs: Specs) -> Specs:
         spec = check_named_cycles(specs)
@@ -133,15 +133,15 @@ class MixtureDrift(Operator[MixtureDriftState]):
             raise InputError("other", f"heights in {specs['other'].meta.get('height_unit')!r}", accepts)
         student(self.first / self.cycles - 1.0)  # designed here, not while samples come
         g = len(group)
-        stored = read_references(Path(self.reference), mixture, names) if self.reference else References.none(g)
-        room, *held = (PeakWindow.none(max(self.first, self.cycles), spec.shape[1], limbs) for _ in range(limbs + 1))
+        stored = read_references(Path(self.reference), mixture, names) if self.reference else References.empty(g)
+        room, *held = (PeakWindow.empty(max(self.first, self.cycles), spec.shape[1], limbs) for _ in range(limbs + 1))
         pairs = limb_pairing(group, limb, spec) if limbs > 1 else pairing(names, others)
         self.set_state(
             MixtureDriftState(
-                Expected.none(specs["closed"].dtype),
-                room, Refit.none(self.cycles, group.shape[1]),
-                FirstReferences.none(g, held, self.first, ReferenceFit.none(self.first, group.shape[1], self.pairs)), stored, group,
-                limb, np.zeros(len(others), MIXTURE), pairs, np.zeros(g, np.int64), Moved.none(g), StageUnderWay.none(limbs), names,
+                Expected.empty(specs["closed"].dtype),
+                room, Refit.empty(self.cycles, group.shape[1]),
+                FirstReferences.empty(g, held, self.first, ReferenceFit.empty(self.first, group.shape[1], self.pairs)), stored, group,
+                limb, np.zeros(len(others), MIXTURE), pairs, np.zeros(g, np.int64), Moved.empty(g), StageUnderWay.empty(limbs), names,
                 "pace" in specs, how,
             ),
             decision_s={"distance": 0.0},

@@ -25,7 +25,7 @@ MIXTURE = np.dtype(
 )
 """One muscle's mixture after a cycle: from how many cycles and peaks; `likelihood` is the mean log-likelihood of a peak; `apart_pct` the
 circular distance of the two highest modes (thesis eq. 6.7), NaN below two; `settled` 0: EM was still gaining when it was stopped.
-`unknown` says why there is none, and `modes` is then 0. Modes beyond `modes` are NaN; means are (%, height), covariances (place, both,
+`unknown` gives the reason where `modes` is 0. Modes beyond `modes` are NaN; means are (%, height), covariances (place, both,
 height)."""
 MIXTURE_UNITS = ("ns", "ns", "", "", "", "", "", "", "", "%", "", "", "", "", "", "")
 

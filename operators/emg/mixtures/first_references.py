@@ -18,7 +18,7 @@ class FirstReferences:
     """
     known                  the references of each mixture
     held, slots (l, first) each limb's first cycles, once there are enough (`frozen`), and where they stand in it
-    fit, job               the reference under way, and of which mixture it is, -1: none;  made (g,): 1 where it is done
+    fit, job               the reference under way, and its mixture, or -1;  made (g,): 1 where it is done
     """
 
     known: References
@@ -30,7 +30,7 @@ class FirstReferences:
     made: Times
 
     @staticmethod
-    def none(mixtures: int, held: list[PeakWindow], first: int, fit: ReferenceFit) -> FirstReferences:
+    def empty(mixtures: int, held: list[PeakWindow], first: int, fit: ReferenceFit) -> FirstReferences:
         """Of the `first` cycles of each limb."""
         limbs = len(held)
         frozen, slots, made = (
@@ -38,7 +38,7 @@ class FirstReferences:
             np.zeros((limbs, first), np.int64),
             np.zeros(mixtures, np.int64),
         )
-        return FirstReferences(References.none(mixtures), held, frozen, slots, fit, -1, made)
+        return FirstReferences(References.empty(mixtures), held, frozen, slots, fit, -1, made)
 
     def take(self, limb: int, window: PeakWindow) -> None:
         """Hold a limb's cycles in `window`, if they are the first and enough."""
@@ -58,14 +58,14 @@ class FirstReferences:
             self.known.forget(which)
 
     def step(self, group: Times, limb: Times, size: int, how: Fitting) -> bool:
-        """A piece of work; whether there was any. `group` (g, ...): the channels of each mixture, -1: none; `limb` (g,): whose it is."""
+        """Does a piece of work, and returns whether any. `group` (g, ...): the channels of each mixture, or -1; `limb` (g,): its limb."""
         if self.job < 0:
             due = np.flatnonzero((self.frozen[limb] == 1) & (self.made == 0))
             if not len(due):
                 return False
             self.job = int(due[0])
-        channels, whose = group[self.job], int(limb[self.job])
+        channels, leg = group[self.job], int(limb[self.job])
         channels = channels[channels >= 0]
-        if self.fit.go_on(self.held[whose], self.slots[whose], channels, self.job, size, self.known, how):
+        if self.fit.go_on(self.held[leg], self.slots[leg], channels, self.job, size, self.known, how):
             self.made[self.job], self.job = 1, -1
         return True

@@ -2,7 +2,7 @@
 
 A peak is a point (place, height): the place in % of the cycle, 0 <= place < 100, the height in the curve's unit. Along the cycle a burst at
 touch-down is one mode, so the density is that of a normal distribution wrapped around the cycle: the sum over `turns` turns to either side.
-With turns = 0 it is the plain Gaussian mixture of the thesis, whose eq. 6.5 prints exponent and normaliser wrongly.
+With turns = 0 it is the plain Gaussian mixture of the thesis, where eq. 6.5 misprints exponent and normaliser.
 
 A mixture of k modes is three arrays: weights (k,), means (k, 2), covariances (k, 3) as (variance of place, covariance, variance of height).
 """
@@ -18,7 +18,7 @@ from kinegraph.stream.kernel import kernel
 
 CYCLE = 100.0
 NOTHING = -200.0
-"""A share of exp(-200) is none."""
+"""Shares of exp(-200) or less count as zero."""
 
 
 @kernel

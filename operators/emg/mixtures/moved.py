@@ -30,7 +30,7 @@ class Moved:
     on: Times
 
     @staticmethod
-    def none(count: int) -> Moved:
+    def empty(count: int) -> Moved:
         return Moved(*(np.zeros((2, count), np.int64) for _ in range(4)))
 
     def from_which(self, muscle: int) -> str:

@@ -23,9 +23,9 @@ class MixturesState:
     """
     window    the latest cycles;  refit: the mixture that is being fitted
     group (g, w)   the muscles of each mixture, -1 where there are fewer;  due (g,): 1 where the newest cycle is still to be fitted
-    limb (g,) whose muscles they are;  job: which mixture `refit` is; -1: none;  turn: where the search for the next begins
+    limb (g,) the limb of each mixture;  job: the mixture that `refit` computes, or -1;  turn: where the search for the next begins
     closed (l,)    the event of each limb's newest cycle;  of (1,): of that which `refit` is about
-    spread    whether there is a `pace`;  told: the newest `until` that has gone out
+    spread    whether there is a `pace`;  reported: the newest `until` that was emitted
     """
 
     expected: Expected
@@ -40,7 +40,7 @@ class MixturesState:
     of: Array
     names: list[str]
     spread: bool
-    told: int
+    reported: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,12 +115,12 @@ class PeakMixtures(Operator[MixturesState]):
         group, names = muscle_groups(spec.channels, self.joint)
         limb, limbs = limb_of_groups(spec, group, names)
         nothing = np.zeros(1, specs["closed"].dtype)
-        refit = Refit.none(self.cycles, group.shape[1])
+        refit = Refit.empty(self.cycles, group.shape[1])
         rate_hz = specs["pace"].rate_hz if "pace" in specs else None
         late_s = (len(group) + 1) * refit.most_calls(self.most_sweeps) / rate_hz if rate_hz else 0.0
         self.set_state(
             MixturesState(
-                Expected.none(specs["closed"].dtype), PeakWindow.none(self.cycles, spec.shape[1], limbs),
+                Expected.empty(specs["closed"].dtype), PeakWindow.empty(self.cycles, spec.shape[1], limbs),
                 refit,
                 group, np.zeros(len(group), np.int64), limb, -1, 0, nothing.repeat(limbs), nothing, names, "pace" in specs, NEVER,
             ),
@@ -155,13 +155,13 @@ class PeakMixtures(Operator[MixturesState]):
                     break  # nothing is due before the next cycle
                 if (row := self._step()) is not None:
                     made.append((stamp, row))
-        until = s.told if chunk.until == FOREVER and self._waiting() else chunk.until
-        s.told = max(s.told, *(stamp for stamp, _ in made), until) if made else max(s.told, until)
+        until = s.reported if chunk.until == FOREVER and self._waiting() else chunk.until
+        s.reported = max(s.reported, *(stamp for stamp, _ in made), until) if made else max(s.reported, until)
         return self._emitted(made, until, -1 if chunk.lost and port != "pace" else 0)
 
     def close(self) -> list[tuple[str, Chunk]]:
         """The mixtures of the last cycle that are not done."""
-        stamp = self.state.told + 1
+        stamp = self.state.reported + 1
         return self._emitted([(stamp, row) for row in self._all()] if self._waiting() else [], FOREVER, 0)
 
     @classmethod
@@ -246,7 +246,7 @@ def muscle_groups(channels: tuple[str, ...], joint: tuple[tuple[str, ...], ...])
 
 
 def limb_of_groups(spec: StreamSpec, group: Times, names: list[str]) -> tuple[Times, int]:
-    """Whose muscles each mixture's are (g,), and how many limbs there are. Raises ParameterError."""
+    """The limb of each mixture (g,), and the number of limbs. Raises ParameterError."""
     limbs = list(limbs_of(spec).values()) or [spec.channels]
     owner = np.array([next(i for i, mine in enumerate(limbs) if name in mine) for name in spec.channels])
     for row, name in zip(group, names, strict=True):

@@ -8,7 +8,7 @@ from kinegraph.stream.chunk import StreamSpec, Times
 
 
 def pairing(names: list[str], others: list[str]) -> Times:
-    """The other leg's counterpart of each muscle: of the same name, or of the same but for a leading or trailing L or R; -1: none."""
+    """The other leg's counterpart of each muscle: of the same name, ignoring a leading or trailing L or R; -1 without one."""
 
     def bare(name: str) -> str:
         short = name[1:] if name[:1] in "LR" else name
@@ -25,7 +25,7 @@ def pairing(names: list[str], others: list[str]) -> Times:
 
 
 def limb_pairing(group: Times, limb: Times, spec: StreamSpec) -> Times:
-    """The counterpart of each mixture among those of two limbs: of the other limb's same muscles; -1: none, or more limbs than two."""
+    """The counterpart of each mixture among those of two limbs: of the other limb's same muscles; else -1."""
     muscles = dict(spec.meta.get("muscles") or {})
     named = [{muscles.get(spec.channels[k], spec.channels[k]) for k in row[row >= 0]} for row in group]
     found = np.full(len(group), -1)

@@ -21,7 +21,7 @@ def gather(
 ) -> tuple[int, int]:
     """All peaks of a group's muscles in the cycles at `slots`, into `points` (most, 2), and their mean curve into `mean` (100,).
 
-    Returns how many peaks, and how many curves (a muscle that is missing in a cycle has none).
+    Returns how many peaks, and how many curves (not counting muscles that are missing in a cycle).
     """
     found = counted = 0
     mean[:] = 0.0
@@ -84,7 +84,7 @@ def keep_active(points: Samples, count: int, least: float) -> int:
 class PeakWindow:
     """A ring of cycles, each at its number modulo the ring's length. Of l limbs, number n is a cycle of limb (n - 1) modulo l.
 
-    numbers (r,)             which cycle stands there; -1: none;  accepted (r,): 1 where it counts
+    numbers (r,)             the cycle in each row, or -1;  accepted (r,): 1 where it counts
     tops (r, m), peaks (r, m, 50, 2)   of each muscle: how many local maxima, and their place in % and height
     curves (r, 100, m)       NaN: missing
     last                     the newest cycle's number;  limbs: l
@@ -99,7 +99,7 @@ class PeakWindow:
     limbs: int
 
     @staticmethod
-    def none(cycles: int, muscles: int, limbs: int = 1) -> PeakWindow:
+    def empty(cycles: int, muscles: int, limbs: int = 1) -> PeakWindow:
         r = max(REVISABLE, 2 * cycles) * limbs
         return PeakWindow(
             np.full(r, -1), np.zeros(r, np.int64), np.zeros((r, muscles), np.int64),
@@ -136,7 +136,7 @@ class PeakWindow:
         return True
 
     def forget(self, limb: int) -> None:
-        """Count none of a limb's cycles any longer."""
+        """Stop counting a limb's cycles."""
         self.accepted[(self.numbers - 1) % self.limbs == limb] = 0
 
     def take(self, other: PeakWindow) -> None:
@@ -146,7 +146,7 @@ class PeakWindow:
         self.last = other.last
 
     def limb(self, number: int) -> int:
-        """Whose cycle a number is."""
+        """The limb of a cycle's number."""
         return (number - 1) % self.limbs
 
     def latest(self, cycles: int, limb: int = 0) -> Times:

@@ -42,8 +42,8 @@ def find_peaks(
     places   (most,) in order, written; returns how many were found, at most as many as fit
     scratch  (2, n)
 
-    Source: Mariscotti, Nucl. Instrum. Methods 50 (1967). He takes a minimum as significant beside the counting statistics of a spectrum; a
-    mean muscle curve has none, so it is significant beside the curve's own deepest minimum.
+    Source: Mariscotti, Nucl. Instrum. Methods 50 (1967). He compares a minimum with the counting statistics of a spectrum; a
+    mean muscle curve has no such statistics, so a minimum is compared with the curve's own deepest one.
     """
     n = curve.shape[0]
     second = scratch[0]

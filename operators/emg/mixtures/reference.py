@@ -38,7 +38,7 @@ class References:
     noise: Samples
 
     @staticmethod
-    def none(count: int) -> References:
+    def empty(count: int) -> References:
         k = MOST_MODES
         return References(
             np.full(count, -1), np.zeros((count, k)), np.zeros((count, k, 2)), np.zeros((count, k, 3)),
@@ -95,9 +95,9 @@ class ReferenceFit:
     distances: Samples
 
     @staticmethod
-    def none(cycles: int, muscles: int, pairs: int) -> ReferenceFit:
-        room = Refit.none(cycles, muscles, cycles * muscles * POINTS)
-        return ReferenceFit(room, 0, False, References.none(1), np.full(pairs, np.nan))
+    def empty(cycles: int, muscles: int, pairs: int) -> ReferenceFit:
+        room = Refit.empty(cycles, muscles, cycles * muscles * POINTS)
+        return ReferenceFit(room, 0, False, References.empty(1), np.full(pairs, np.nan))
 
     def go_on(
         self, window: PeakWindow, slots: Times, group: Times, which: int, size: int, out: References, how: Fitting

@@ -1,4 +1,4 @@
-"""A mixture's refit, spread over samples: begun from the window's peaks, swept a few times a sample, then merged and told."""
+"""Refits a mixture in small pieces: starts from the window's peaks, sweeps a few times per sample, then merges and emits."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Refit:
     resting: int
 
     @staticmethod
-    def none(cycles: int, muscles: int, extra: int = 0) -> Refit:
+    def empty(cycles: int, muscles: int, extra: int = 0) -> Refit:
         """With room for `cycles` cycles of `muscles` muscles in one mixture, and `extra` points."""
         room = cycles * muscles * MOST_PEAKS + extra
         k = MOST_MODES

@@ -194,7 +194,7 @@ def walkable(nodes: Nodes, edges: Edges, blend: int) -> tuple[Edges, Array]:
 
 
 def strongest(nodes: Nodes, edges: Edges) -> Array:
-    """(k,) which nodes lie in the strongly connected component that lasts longest; none where nothing leads back."""
+    """(k,) which nodes lie in the strongly connected component that lasts longest; empty where nothing leads back."""
     k = len(nodes.first)
     links = csr_array((np.ones(len(edges.source), np.int8), (edges.source, edges.target)), shape=(k, k))
     _, label = connected_components(links, directed=True, connection="strong")
@@ -207,18 +207,18 @@ def strongest(nodes: Nodes, edges: Edges) -> Array:
 
 def _open_ended(nodes: Nodes, edges: Edges, within_m: float, blend: int, rate_hz: float, takes: Sequence[Take]) -> str:
     """That no walk comes back to where it was, and what would make one."""
-    said = f"no walk on this graph comes back: none of its {len(nodes.first)} nodes can be reached from itself"
+    text = f"no walk on this graph comes back: no node of its {len(nodes.first)} can be reached from itself"
     order = np.argsort(edges.placed[:, 3], kind="stable")
     for m in order[edges.placed[order, 3] > within_m].tolist():
         upto = edges.part(edges.placed[:, 3] <= edges.placed[m, 3])
         if walkable(nodes, upto, blend)[1].any():
             a, b = int(edges.source[m]), int(edges.target[m])
             return (
-                f"{said}. The end of node {a} ({_place(nodes, a, takes, rate_hz)}) and the start of node {b} "
+                f"{text}. The end of node {a} ({_place(nodes, a, takes, rate_hz)}) and the start of node {b} "
                 f"({_place(nodes, b, takes, rate_hz)}) are {100 * edges.placed[m, 3]:.1f} cm apart, and would close a cycle: "
                 f"--within-cm {np.ceil(1000 * edges.placed[m, 3]) / 10:g}"
             )
-    return f"{said}, nor with clouds {100 * FARTHEST * within_m:g} cm apart; record motion that comes back to a pose it had"
+    return f"{text}, nor with clouds {100 * FARTHEST * within_m:g} cm apart; record motion that comes back to a pose it had"
 
 
 def _place(nodes: Nodes, k: int, takes: Sequence[Take], rate_hz: float) -> str:

@@ -38,9 +38,9 @@ class GrowingState:
     scale        to m
     order (j,)   columns of the input, the origin first; sides (2,): places of `left` and `right` in what that gives
     blend        frames on either side of a seam; gap_ns: a longer time between frames ends a take; period_ns
-    newest       stamp of the newest frame, NEVER: none
-    ended        end of the newest stretch, NEVER: none; begun: where one that was too short began, NEVER: none
-    told         up to when nothing more comes
+    newest       stamp of the newest frame, NEVER before the first
+    ended        end of the newest stretch; begun: where one that was too short began; NEVER without one
+    reported     up to when nothing more comes
     """
 
     growth: Growth
@@ -53,7 +53,7 @@ class GrowingState:
     newest: int = NEVER
     ended: int = NEVER
     begun: int = NEVER
-    told: int = NEVER
+    reported: int = NEVER
 
 
 class _Turning(Operator[GrowingState]):
@@ -146,13 +146,13 @@ class GrowingGraph(_Turning):
                     self._work(stamp, found)
         if chunk.until == FOREVER:
             self._finish(found)
-        self.state.told = max(self.state.told, chunk.until)
+        self.state.reported = max(self.state.reported, chunk.until)
         return found.chunks(chunk.until, -1 if chunk.lost else 0)
 
     def _finish(self, found: GraphEvents) -> None:
-        """Nothing comes any more: what waits is worked through, at the first moment of which nothing was said yet."""
+        """Process what waits at the end of input, stamped with the first moment not promised yet."""
         s = self.state
-        stamp = max(s.newest, s.told + 1)
+        stamp = max(s.newest, s.reported + 1)
         if s.begun != NEVER and s.ended > s.begun:
             self._wait(s.begun, s.ended, -1)
             s.begun = NEVER
@@ -190,7 +190,7 @@ class GrowingGraph(_Turning):
         growth.queued += 1
 
     def _work(self, stamp: int, found: GraphEvents) -> None:
-        """One frame's part of the work: a node taken up, a window looked around, or its edges measured and told."""
+        """One frame's part of the work: a node taken up, a window looked around, or its edges measured and emitted."""
         s, g = self.state, self.state.growth
         if g.at < 0:
             g.begin(s.blend, *s.sides.tolist())
@@ -220,11 +220,11 @@ class GrowingGraph(_Turning):
         data[:, 2, 0], data[:, 3, 0] = 0.3 * np.sin(phase), -0.3 * np.sin(phase)
         data += 0.005 * np.random.default_rng(56).normal(size=data.shape)
         spec = StreamSpec((4, 3), rate_hz=30.0, channels=("hip_l", "hip_r", "foot_l", "foot_r"), units=("m",))
-        told = time[100:700:30]
-        rows = np.zeros(len(told), [("onset", "<i8"), ("end", "<i8"), ("cluster", "<i8")])
-        rows["onset"], rows["end"], rows["cluster"] = told - 2 * NS, told - NS - 1, np.arange(len(told)) % 2 - 1
+        ends = time[100:700:30]
+        rows = np.zeros(len(ends), [("onset", "<i8"), ("end", "<i8"), ("cluster", "<i8")])
+        rows["onset"], rows["end"], rows["cluster"] = ends - 2 * NS, ends - NS - 1, np.arange(len(ends)) % 2 - 1
         events = StreamSpec((), rows.dtype, units=("ns", "ns", ""))
-        inputs = {"primitive": (events, told, rows), "in": (spec, time, data)}
+        inputs = {"primitive": (events, ends, rows), "in": (spec, time, data)}
         return [
             Case(cls(most_nodes=12, memory_s=15.0), inputs, least=60),
             Case(cls(origin="foot_l", within_cm=30.0, most_nodes=5), inputs, least=40),

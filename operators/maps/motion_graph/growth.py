@@ -41,10 +41,10 @@ class Growth:
     nodes               how many nodes there were; the newest m have places, by their number modulo m:
     first, last, cluster, onset, end (m,)   frames first..last-1, and their stamps
     leads (m, m)        whether there is an edge
-    starts, ends (m, WINDOWS)   frames in the middle of the windows at which a node is entered and left; -1: none
+    starts, ends (m, WINDOWS)   frames in the middle of the windows at which a node is entered and left; or -1
     entered, left       neighbour indexes of these windows, numbered by node and place
-    waiting (WAITING, 3), queued   onset, end, cluster of nodes that frames are there for, but no edges yet
-    at, step            the node whose edges are looked for, -1: none; how far that has come
+    waiting (WAITING, 3), queued   onset, end, cluster of nodes with frames, but without edges yet
+    at, step            the node that gets its edges now, or -1; how far the search is
     best (2, m), seams (2, m, 2)   by direction (out of it, into it) and node: how near windows came; frames that are left and entered
     room (2, p, 3)      for two clouds
     """
@@ -75,16 +75,16 @@ class Growth:
 
     @staticmethod
     def empty(joints: int, ring: int, most: int, blend: int) -> Growth:
-        def none(*shape: int) -> Times:
+        def unset(*shape: int) -> Times:
             return np.full(shape, -1, np.int64)
 
         width = 9 * joints
         return Growth(
-            ring=np.zeros((ring, joints, 3)), stamps=none(ring), take=none(ring), frames=0, gaps=0, nodes=0,
-            first=none(most), last=none(most), cluster=none(most), onset=none(most), end=none(most),
-            leads=np.zeros((most, most), np.bool_), starts=none(most, WINDOWS), ends=none(most, WINDOWS),
+            ring=np.zeros((ring, joints, 3)), stamps=unset(ring), take=unset(ring), frames=0, gaps=0, nodes=0,
+            first=unset(most), last=unset(most), cluster=unset(most), onset=unset(most), end=unset(most),
+            leads=np.zeros((most, most), np.bool_), starts=unset(most, WINDOWS), ends=unset(most, WINDOWS),
             entered=allocate(width, most * WINDOWS, 0), left=allocate(width, most * WINDOWS, 0),
-            waiting=none(WAITING, 3), queued=0, at=-1, step=0, best=np.full((2, most), np.inf), seams=none(2, most, 2),
+            waiting=unset(WAITING, 3), queued=0, at=-1, step=0, best=np.full((2, most), np.inf), seams=unset(2, most, 2),
             room=np.zeros((2, (2 * blend + 1) * joints, 3)),
         )  # fmt: skip
 
@@ -103,7 +103,7 @@ class Growth:
         return oldest + int(first), oldest + int(last)
 
     def begin(self, blend: int, left: int, right: int) -> bool:
-        """Take up the node that has waited longest: give it a place and its windows; False where none waits."""
+        """Take up the node that has waited longest: give it a place and its windows; False if the queue is empty."""
         if not self.queued:
             return False
         onset, end, cluster = self.waiting[0].tolist()

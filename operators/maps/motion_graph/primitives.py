@@ -86,12 +86,12 @@ def _through(operator: Operator[Any], spec: StreamSpec, given: list[Chunk]) -> t
 def _told(operator: Segment, spec: StreamSpec, given: list[Chunk]) -> tuple[Array, Array]:
     """The primitives and the merges of clusters."""
     specs = operator.open({"in": spec})
-    told: dict[str, list[Array]] = {name: [np.empty(0, specs[name].dtype)] for name in ("primitive", "merge")}
+    events: dict[str, list[Array]] = {name: [np.empty(0, specs[name].dtype)] for name in ("primitive", "merge")}
     for chunk in given:
         for name, part in operator.process("in", chunk):
-            if name in told:
-                told[name].append(part.data)
+            if name in events:
+                events[name].append(part.data)
     for name, part in operator.close():
-        if name in told:
-            told[name].append(part.data)
-    return np.concatenate(told["primitive"]), np.concatenate(told["merge"])
+        if name in events:
+            events[name].append(part.data)
+    return np.concatenate(events["primitive"]), np.concatenate(events["merge"])

@@ -72,7 +72,7 @@ def on_floor(tree: JointTree, poses: Samples) -> Samples:
 
 
 def standing(tree: JointTree, poses: Samples, rate_hz: float) -> Array:
-    """(n, 2) whether the left and the right foot stand: toes slow and low; holes and stands of two frames at most are none."""
+    """(n, 2) whether the left and the right foot stand: toes slow and low; holes and stands of at most two frames are ignored."""
     toes = joints_of(tree, poses)[1][:, TOES]
     speed = np.linalg.norm(np.gradient(toes, axis=0), axis=2) * rate_hz if len(toes) > 1 else np.zeros(toes.shape[:2])
     made = (speed < STILL_M_S) & (toes[:, :, 1] < SOLE_M + LOW_M)

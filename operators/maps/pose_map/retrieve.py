@@ -114,7 +114,7 @@ class PoseSearch:
         return kept
 
     def regions(self, first: int, last: int, band: int) -> list[tuple[int, int, int]]:
-        """(sequence, begin, end) of places with a pose near to one of the stretch's, the nearest first, none in the band."""
+        """(sequence, begin, end) of places with a pose near to one of the stretch's, the nearest first, outside the band."""
         length = last - first + 1
         anchors = [first + int(share * (length - 1)) for share in ANCHORS]
         found = [self.nearest(anchor, AROUND) for anchor in anchors]
@@ -131,7 +131,7 @@ class PoseSearch:
         return made
 
     def _region(self, at: int, first: int, last: int, band: int) -> list[tuple[int, int, int]]:
-        """The place around a stretch that begins at frame `at`, within one sequence and outside of the band; none if it is too short."""
+        """The place around a stretch that begins at frame `at`, within one sequence and outside of the band; empty if it is too short."""
         length = last - first + 1
         middle = at + length // 2
         sequence = self.of(middle)
@@ -179,11 +179,11 @@ class Retrieve(_Searching):
     """Queries in; out come the nearest poses or stretches of all sequences of a map (`kinegraph motion train map`), the nearest first.
 
     in   events of the dtype QUERY: from where to where in the index, how many, the band in s, which markers count (bits; 0: all)
-    out  per query one event (ANSWER) for each that was found, then one whose place is -1
+    out  per query one event (ANSWER) for each that was found, then one with place -1
 
     One frame asks for poses: exact, by the neighbour index over all frames. More frames ask for stretches, of half to twice the length:
     places are found by the poses nearest to three of the stretch's own (2048 each, 96 places at most), and each is searched by subsequence
-    warping, with at most 48 frames of the query. So a stretch that resembles it in none of the three is not found. Nothing within `band_s`
+    warping, with at most 48 frames of the query. So it misses stretches that resemble the query at no such pose. Nothing within `band_s`
     of the query in its own sequence is an answer. A query that names no stretch of one sequence is answered by its end at once. No delay.
 
     Source: thesis, 5.3.4 (poses by a kd-tree). Stretches, the band, and markers chosen with the query are this project's.

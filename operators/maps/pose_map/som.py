@@ -28,7 +28,7 @@ WIDEST = 300
 TRIED = 256
 """A map is tried on this many poses before it is shown."""
 SEEN, STEP, SHOWN, GOOD, TORN = range(5)
-"""Places in `counts`: whole poses so far; frame of the map that is being learned; maps shown; poses tried; those whose two nearest cells
+"""Places in `counts`: whole poses so far; frame of the map that is being learned; maps shown; poses tried; those with nearest cells that
 do not touch."""
 
 
@@ -127,7 +127,7 @@ class PoseGridState:
     errors, trial (e,)    of the poses that the map shown, and the one being learned, was tried on
     hits (c,)             how many of these fell on each cell
     apart, share (c,), found, distances   room, which remembers nothing
-    drawn                 how many maps `poses` has told of
+    drawn                 how many maps `poses` has emitted
     """
 
     used: Times
@@ -157,9 +157,9 @@ class PoseGrid(Operator[PoseGridState]):
 
     place  (2,)  column and row, from 0, between the cells; NaN before the first map, and where a feature is
     error  (2,)  the distance to the nearest cell (quantisation error, in the input's unit); `rank`: which share of the poses that the map
-                 was tried on lies no further from it. An outlier is a pose whose rank is above 0.99, say
-    cells  an event whenever a map is shown: its number, mean quantisation error, topographic error (share of poses whose two nearest
-                 cells do not touch), how many poses it was tried on, per cell how many of these it has, and its pose
+                 was tried on lies no further from it. An outlier is a pose with a rank above, say, 0.99
+    cells  an event whenever a map is shown: its number, mean quantisation error, topographic error (share of poses with two nearest
+                 cells that do not touch), how many poses it was tried on, per cell how many of these it has, and its pose
     poses  (cells, width)  the poses of the cells, row by row, whenever a map is shown, a trained one with the first pose; the page's
                  panel `map` draws them
 
@@ -168,7 +168,7 @@ class PoseGrid(Operator[PoseGridState]):
     nothing changes any more. With `model` the map is that of `kinegraph motion train map`, in the input's unit of length, and
     nothing is learned.
 
-    Time is counted in whole poses: none is learned in a gap. Channels in the input's `meta["missing"]` are left out. No delay.
+    Time is counted in whole poses: it learns nothing in a gap. Channels in the input's `meta["missing"]` are left out. No delay.
 
     Source: thesis, 5.3.3; Kohonen 1982. Departure: live, out of a reservoir; the thesis trains on whole recordings.
     """
@@ -247,7 +247,7 @@ class PoseGrid(Operator[PoseGridState]):
     def process(self, port: str, chunk: Chunk) -> Emitted:
         s, n = self.state, len(chunk.time)
         place, error = np.empty((n, 2)), np.empty((n, 2))
-        told, at, done = list[Array](), list[int](), 0
+        events, at, done = list[Array](), list[int](), 0
         drawn, drawn_at = list[Samples](), list[int]()
         if n and s.counts[SHOWN] > s.drawn:
             drawn, drawn_at, s.drawn = [s.codes.T.copy()], [0], int(s.counts[SHOWN])
@@ -263,19 +263,19 @@ class PoseGrid(Operator[PoseGridState]):
                 one["map"], one["tried"] = shown + 1, s.tried
                 one["quantisation"], one["topographic"] = s.errors.mean(), s.counts[TORN] / s.tried
                 one["count"], one["pose"] = s.hits, s.codes.T
-                told.append(one)
+                events.append(one)
                 at.append(done - 1)
                 drawn.append(s.codes.T.copy())
                 drawn_at.append(done - 1)
                 s.drawn = shown + 1
-        shape, none = s.codes.T.shape, chunk.time[:0]
+        shape, never = s.codes.T.shape, chunk.time[:0]
         poses = np.array(drawn) if drawn else np.empty((0, *shape))
-        cells = np.concatenate(told) if told else np.empty(0, _event_of(*shape))
+        cells = np.concatenate(events) if events else np.empty(0, _event_of(*shape))
         return [
             ("place", Chunk(chunk.time, place, chunk.until, chunk.lost)),
             ("error", Chunk(chunk.time, error, chunk.until, chunk.lost)),
-            ("cells", Chunk(chunk.time[at] if at else none, cells, chunk.until, -1 if chunk.lost else 0)),
-            ("poses", Chunk(chunk.time[drawn_at] if drawn_at else none, poses, chunk.until, -1 if chunk.lost else 0)),
+            ("cells", Chunk(chunk.time[at] if at else never, cells, chunk.until, -1 if chunk.lost else 0)),
+            ("poses", Chunk(chunk.time[drawn_at] if drawn_at else never, poses, chunk.until, -1 if chunk.lost else 0)),
         ]
 
     @classmethod

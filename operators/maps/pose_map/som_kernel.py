@@ -112,7 +112,7 @@ def train_cells(
 def place_all_poses(
     x: Samples, codes: Samples, columns: int, found: Times, distances: Samples, cell: Times, place: Samples, error: Samples
 ) -> int:  # fmt: skip
-    """Of poses `x` (n, w) on `codes` (w, c): nearest cells, places (n, 2) between cells, distances to the nearest; NaN has none (-1).
+    """Of poses `x` (n, w) on `codes` (w, c): nearest cells, places (n, 2) between cells, distances to the nearest; -1 for NaN.
 
     Returns how many have two nearest cells that do not touch.
     """

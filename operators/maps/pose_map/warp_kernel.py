@@ -36,7 +36,7 @@ def warp(
     """Find `query` (l, w) in the first `n` columns of `there` (w, n): out = [first, last, distance], the best first and last column.
 
     Steps are (1, 1), (1, 2) and (2, 1), so the match is half to twice as long as the query. The distance is the root of the mean, over the
-    query's frames, of the weighted squared distances along the path; infinite where none fits or all that would hold a NaN.
+    query's frames, of the weighted squared distances along the path; infinite where no path fits or all contain a NaN.
 
     apart (n,), cost (3, n), start (3, n)   room: squared distances of one frame of the query; of the three newest the least sum so far,
                                             and where its path begins

@@ -68,13 +68,13 @@ def pose(
     if output.exists() and not overwrite:
         raise KinegraphError(f"{output}: exists; choose another --out, or replace it with --overwrite")
     chosen = np.array(sorted(NAMES.index(name) for name in set(names)), np.int64)
-    lessons, told, tree = _lessons(recordings, chosen, noise_mm / 1000.0, _given(landmark or []))
+    lessons, trained_on, tree = _lessons(recordings, chosen, noise_mm / 1000.0, _given(landmark or []))
     learned = learn_pose(lessons, chosen, centres)
-    header = {"landmarks": [NAMES[k] for k in chosen], "noise_mm": noise_mm, "trained_on": told}
+    header = {"landmarks": [NAMES[k] for k in chosen], "noise_mm": noise_mm, "trained_on": trained_on}
     write_model(output, "pose", header, {**learned, "landmarks": chosen, "offsets": tree.offsets})
     frames = sum(len(one.features) for one in lessons) // 2
     say(
-        f"{output}: learned from {frames} poses of {len(told)} streams, for {len(chosen)} landmarks, {len(learned['centres'])} centres"
+        f"{output}: learned from {frames} poses of {len(trained_on)} streams, {len(chosen)} landmarks, {len(learned['centres'])} centres"
     )
 
 
@@ -84,8 +84,8 @@ def _given(landmarks: list[str]) -> dict[str, tuple[str, ...]]:
 
     given: dict[str, tuple[str, ...]] = {}
     for one in landmarks:
-        name, _, said = one.partition("=")
-        points = tuple(point.strip() for point in said.split(",") if point.strip())
+        name, _, joined = one.partition("=")
+        points = tuple(point.strip() for point in joined.split(",") if point.strip())
         if name not in NAMES:
             raise KinegraphError(f"--landmark: there is no landmark {name!r}; {nearest(name, NAMES)}")
         if not points:
@@ -108,7 +108,7 @@ def _lessons(
     from kinegraph.stream.domain.skeleton import JointTree
 
     lessons: list[Lesson] = []
-    told: list[str] = []
+    trained_on: list[str] = []
     refused: list[str] = []
     known: set[str] = set()
     tree: JointTree | None = None
@@ -139,7 +139,7 @@ def _lessons(
                     continue
                 tree = tree or body
                 lessons += lessons_of(body, poses, np.asarray(chosen), noise_m)
-                told.append(f"{name_of(opened)}: {name}")
+                trained_on.append(f"{name_of(opened)}: {name}")
                 say(f"{name_of(opened)}: {name}: {len(poses)} poses")
     for points in given.values():
         for point in points:
@@ -150,9 +150,9 @@ def _lessons(
     if tree is None:
         raise KinegraphError(
             "no stream of poses in these recordings, and no markers that show more of a body than the model's landmarks; "
-            "`kinegraph files import` makes poses of each AMC file and of each BVH file whose --unit is said, and markers of C3D files"
+            "`kinegraph files import` makes poses of each AMC file and of each BVH file (give its --unit), and markers of C3D files"
         )
-    return lessons, told, tree
+    return lessons, trained_on, tree
 
 
 def _cure(why: str, name: str) -> str:

@@ -48,7 +48,7 @@ class Confusion:
 
     @property
     def sensitivity(self) -> float:
-        """Share of the reference's sleep that was found; NaN where it has none."""
+        """Share of the reference's sleep that was found; NaN for a reference without sleep."""
         return _ratio(self.both_sleep, self.both_sleep + self.false_wake)
 
     @property

@@ -71,7 +71,7 @@ def checklist(of: Evaluated) -> list[ChecklistItem]:
     """Every item, in order."""
     persons = by_person(of.pairs)
     asked = [
-        ChecklistItem("study", what, "told by the study's own table", of.study.get(key, "").strip() or NOT_GIVEN)
+        ChecklistItem("study", what, "from the study's own table", of.study.get(key, "").strip() or NOT_GIVEN)
         for key, what in STUDY.items()
     ]
     return [*asked, *_data(of, persons), *_discrepancies(of.pairs), *_epochs(of.pairs, persons)]
@@ -99,7 +99,7 @@ def _data(of: Evaluated, persons: Sequence[PersonAgreement]) -> list[ChecklistIt
     return [
         ChecklistItem(step, "nights and persons", f"counted.{own}",
                       f"{len(pairs)} nights of {len(persons)} persons, {min(per_person)} to {max(per_person)} each"),
-        ChecklistItem(step, "nights left out, and why", "column exclude of the table of nights", left or "none left out there"),
+        ChecklistItem(step, "nights left out, and why", "column exclude of the table of nights", left or "no night left out there"),
         ChecklistItem(step, "one epoch length on both sides", "each epoch of the reference is held against the estimate at its middle",
                       f"{' and '.join(f'{s:g}' for s in lengths)} s" if lengths else NOT_GIVEN),
         ChecklistItem(step, "shift between the clocks", "as given with --offset or in the table of nights; not estimated", late),
@@ -153,17 +153,17 @@ def _epochs(pairs: Sequence[Pair], persons: Sequence[PersonAgreement]) -> list[C
     step, c, over = "3 epoch by epoch", total(list(pairs)), spreads(persons)
     counts = f"sleep as sleep {c.both_sleep}, sleep as wake {c.false_wake}, wake as wake {c.both_wake}, wake as sleep {c.false_sleep}"
 
-    def told(*names: str) -> str:
+    def spread(*names: str) -> str:
         return "; ".join(f"{name} {_spread(over[name])}" for name in names)
 
     done = "mean over persons (SD), 95 % interval of the mean by Student's t (it may pass 1)"
     return [
         ChecklistItem(step, "error matrix, epochs", "all nights together; the reference's state first", counts),
-        ChecklistItem(step, "error matrix, shares", f"{done}; the other shares are 1 less these", told("sensitivity", "specificity")),
+        ChecklistItem(step, "error matrix, shares", f"{done}; the other shares are 1 less these", spread("sensitivity", "specificity")),
         ChecklistItem(step, "every person's own metrics", "from all epochs of the person's nights", "see the table of persons"),
-        ChecklistItem(step, "accuracy and predictive values", done, told("accuracy", "ppv", "npv")),
+        ChecklistItem(step, "accuracy and predictive values", done, spread("accuracy", "ppv", "npv")),
         ChecklistItem(step, "kappa, and kappa for prevalence and bias", done,
-                      told("kappa", "pabak", "prevalence_index", "bias_index")),
+                      spread("kappa", "pabak", "prevalence_index", "bias_index")),
         ChecklistItem(step, "ROC curve", "not done: the scores are two states, without a grade", NOT_GIVEN),
     ]  # fmt: skip
 

@@ -71,7 +71,7 @@ def evaluate(
     pairs: list[Pair] = []
     groups: dict[str, list[Pair]] = {}
     wanted = _wanted(estimate, reference, nights, offset)
-    told = _study(wanted, report, study, overwrite)
+    answers = _study(wanted, report, study, overwrite)
     for name, settings, e, (r, person, late) in wanted:
         pairs.append(_pair(name, e, r, person, late, stream, epoch_s))
         groups.setdefault(settings, []).append(pairs[-1])
@@ -88,7 +88,7 @@ def evaluate(
     if output:
         _write(pairs, output, overwrite)
     if report:
-        _report(pairs, wanted, told, nights, report)
+        _report(pairs, wanted, answers, nights, report)
 
 
 Wanted: TypeAlias = tuple[str, str, File, tuple[File, str, float]]
@@ -105,7 +105,7 @@ def _wanted(estimate: File | None, reference: File | None, nights: File | None, 
         nights,
         _rows,
         words=("ESTIMATE", "REFERENCE", "--nights"),
-        holds=("nights", "which reference is whose"),
+        holds=("nights", "which reference belongs to which estimate"),
         names=lambda paths: [path.stem for path in paths],
     )
 
@@ -137,8 +137,8 @@ def _rows(table: File) -> list[tuple[File, tuple[File, str, float]]]:
             continue
         try:
             offset_s = float(row.get("offset_s") or 0.0)
-            told = table.parent / row["reference"], row.get("person") or "", offset_s
-            made.append((table.parent / row["estimate"], told))
+            side = table.parent / row["reference"], row.get("person") or "", offset_s
+            made.append((table.parent / row["estimate"], side))
         except (KeyError, TypeError, ValueError):
             raise KinegraphError(
                 f"{table}, line {line}: must name estimate and reference, and if needed person and offset_s (a number)"
@@ -164,13 +164,15 @@ def _study(wanted: list[Wanted], report: File | None, study: File | None, overwr
     return read_study(study) if study else {}
 
 
-def _report(pairs: list[Pair], wanted: list[Wanted], told: dict[str, str], nights: File | None, folder: File) -> None:
+def _report(
+    pairs: list[Pair], wanted: list[Wanted], answers: dict[str, str], nights: File | None, folder: File
+) -> None:
     from kinegraph.operators.sleep.evaluation.checklist import Evaluated
     from kinegraph.operators.sleep.evaluation.report import write_report
 
     rows = [row for _, row in read_records(nights)] if nights else []
     left_out = [(row.get("estimate") or "", why) for row in rows if (why := (row.get("exclude") or "").strip())]
-    for path in write_report(Evaluated(pairs, told, [one[-1][-1] for one in wanted], left_out), folder):
+    for path in write_report(Evaluated(pairs, answers, [one[-1][-1] for one in wanted], left_out), folder):
         say(str(path))
 
 

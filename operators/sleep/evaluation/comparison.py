@@ -58,8 +58,8 @@ def pair(name: str, person: str, estimate: Hypnogram, reference: Hypnogram, offs
     confusion = Confusion.of(e, r)
     unknown = (e == UNKNOWN) | (r == UNKNOWN)
     e, r = np.where(unknown, UNKNOWN, e).astype(np.int8), np.where(unknown, UNKNOWN, r).astype(np.int8)
-    minutes, none = length / (60 * NS), np.full(n, np.nan)
-    return Pair(name, person, time, e, r, confusion, night(e, none, minutes, "AASM"), night(r, none, minutes, "AASM"))
+    minutes, blank = length / (60 * NS), np.full(n, np.nan)
+    return Pair(name, person, time, e, r, confusion, night(e, blank, minutes, "AASM"), night(r, blank, minutes, "AASM"))
 
 
 def total(pairs: list[Pair]) -> Confusion:
@@ -112,8 +112,8 @@ def tables(pairs: list[Pair]) -> list[Table]:
         epochs.add_row("pooled", "", *_counts(total(pairs)), style="bold")
         intervals = pooled_intervals(pairs)
         if not any(np.isnan(low) for low, _ in intervals):
-            told = (f"{low:.3f} to {high:.3f}" for low, high in intervals)
-            epochs.add_row("95 % interval (persons resampled)", "", "", "", *told)
+            texts = (f"{low:.3f} to {high:.3f}" for low, high in intervals)
+            epochs.add_row("95 % interval (persons resampled)", "", "", "", *texts)
     nights = Table(
         box=None, title="Nights: estimate less reference, minutes (AASM), 95 % intervals", title_justify="left"
     )

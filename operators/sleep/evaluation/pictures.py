@@ -62,7 +62,7 @@ def _differences(axes: Axes, pairs: list[Pair], key: str, limits: Limits, name: 
         axes.scatter(mean[mine], (e - r)[mine], s=16, color=PEOPLE[number % len(PEOPLE)], linewidths=0, zorder=3)
     low, high = _range(mean)
     axes.set_xlim(low, high + 0.55 * (high - low))
-    for value, interval, style, said, place in (
+    for value, interval, style, label, place in (
         (limits.high, limits.high_interval, (0, (4, 2)), "upper limit", 0.10),
         (limits.bias, limits.bias_interval, "-", "bias", 0.06),
         (limits.low, limits.low_interval, (0, (4, 2)), "lower limit", 0.02),
@@ -70,7 +70,7 @@ def _differences(axes: Axes, pairs: list[Pair], key: str, limits: Limits, name: 
         if not np.isfinite(value):
             continue
         axes.axhline(value, color=INK, linewidth=0.9, linestyle=style)
-        text = f"{said} {value:.0f}".replace("-", "−")
+        text = f"{label} {value:.0f}".replace("-", "−")
         axes.annotate(text, (1, value), (0, 2), xycoords=("axes fraction", "data"), textcoords="offset points",
                       ha="right", fontsize=6.5, color=INK)  # fmt: skip
         if np.isfinite(interval[0]):
@@ -92,9 +92,9 @@ def _night(axes: Axes, one: Pair) -> None:
             axes.broken_barh(spans, (base, height), facecolors=COLOURS[state], linewidth=0)
     c = one.confusion
     unknown = int(((one.reference == UNKNOWN) | (one.estimate == UNKNOWN)).sum())
-    told = f"κ {c.kappa:.2f}" if np.isfinite(c.kappa) else ""
+    kappa = f"κ {c.kappa:.2f}" if np.isfinite(c.kappa) else ""
     axes.annotate(
-        f"{told}{f', {unknown} unknown' if unknown else ''}",
+        f"{kappa}{f', {unknown} unknown' if unknown else ''}",
         (1.005, 0.5),
         xycoords="axes fraction",
         va="center",

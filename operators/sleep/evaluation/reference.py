@@ -30,7 +30,7 @@ STAGES = {
 
 ONSETS = {"onset", "time (utc)", "time", "onset (s)", "onset_s", "t", "t_s", "seconds", "seconds (s)"}
 FIRST_YEAR, LAST_YEAR = 1900, 2200
-"""Nobody slept outside of these, and int64 nanoseconds end in 2262."""
+"""No night is outside of these, and int64 nanoseconds end in 2262."""
 LABELS = ("state", "stage", "sleep", "label", "annotation", "description")
 
 
@@ -64,7 +64,7 @@ def read_hypnogram(path: Path, *, stream: str = "", epoch_s: float = 30.0) -> Hy
     """A hypnogram from .edf (annotations "Sleep stage W"), .csv, or a recording with final scores (.mcap or a session's folder).
 
     A CSV table needs a column with the epochs' onset (seconds, or ISO times) and one with the state or stage; `end` or `duration`
-    if the epochs' length changes or is not `epoch_s`. Of a table of scores, rows whose `final` is 0 are left out.
+    if the epochs' length changes or is not `epoch_s`. Of a table of scores, rows with `final` 0 are left out.
     Raises KinegraphError, which names the file and the line.
     """
     if not path.exists():
@@ -78,7 +78,7 @@ def read_hypnogram(path: Path, *, stream: str = "", epoch_s: float = 30.0) -> Hy
 
 
 def stage(text: str) -> int | None:
-    """The state that a stage's name means; None if it means none."""
+    """The state that a stage's name means; None for another text."""
     return STAGES.get(text.strip().lower().removeprefix("sleep stage").strip())
 
 
@@ -97,7 +97,7 @@ def _edf(path: Path) -> Hypnogram:
     import edfio
 
     try:
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             edf = edfio.read_edf(path)
         begin = round(edf.startdatetime.replace(tzinfo=UTC).timestamp() * NS)
@@ -111,7 +111,7 @@ def _edf(path: Path) -> Hypnogram:
         if state is not None:
             onset = begin + round(note.onset * NS)
             rows.append((onset, onset + round((note.duration or 30.0) * NS), state))
-    damage = "; ".join(sorted({str(warning.message) for warning in told}))
+    damage = "; ".join(sorted({str(warning.message) for warning in warned}))
     return replace(_hypnogram(rows, path, dated=dated), damage=damage)
 
 
@@ -197,7 +197,7 @@ def _recording(path: Path, stream: str) -> Hypnogram:
         name = stream or found[0]
         if opened.stream(name).spec.dtype not in (EPOCH, REASONED):
             raise RecordingError(
-                f"{path}: {name!r} holds no scored epochs; there {'are' if found else 'is'} {', '.join(found) or 'none'}"
+                f"{path}: {name!r} holds no scored epochs; there {'are' if found else 'is'} {', '.join(found) or 'no other'}"
             )
         _, events = opened.read(name)
     kept = events[events["final"]]

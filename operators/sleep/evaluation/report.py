@@ -40,15 +40,15 @@ td,th{padding:.2em .6em;text-align:left;vertical-align:top;border-bottom:1px sol
 
 
 def read_study(path: Path) -> dict[str, str]:
-    """A table with the columns item and answer, what it says of `STUDY`. Raises KinegraphError."""
-    told = {}
+    """A table with the columns item and answer, as answers to `STUDY`. Raises KinegraphError."""
+    answers = {}
     for line, row in read_records(path):
         key = (row.get("item") or "").strip()
-        if key not in STUDY or key in told:
-            what = "is there twice" if key in told else f"is none of {', '.join(STUDY)}"
+        if key not in STUDY or key in answers:
+            what = "is there twice" if key in answers else f"must be one of {', '.join(STUDY)}"
             raise KinegraphError(f"{path}, line {line}: item {key!r} {what}")
-        told[key] = (row.get("answer") or "").strip()
-    return told
+        answers[key] = (row.get("answer") or "").strip()
+    return answers
 
 
 def free(folder: Path, overwrite: bool) -> None:

@@ -59,18 +59,18 @@ def write_report(
     shares = [explained(part, frames) for part in near_rigid]
     rows = [(name, f"{error:.3f} %", "chosen" if name == how else "") for name, error in off.items()]
     facts = [facts_of(model, k, part, share) for k, (part, share) in enumerate(zip(near_rigid, shares, strict=True))]
-    told = (
+    summary = (
         f"{len(frames)} frames of {frames.shape[1]} vertices, {len(model.markers)} markers: {', '.join(model.markers)}. In "
         f"every fourth frame, left out of a training of the others, vertices are off by {errors.mean():.3f} % of the mesh's "
         f"diagonal in the mean over the mesh, by {errors.max():.2f} % where it is worst."
     )
     body = [
-        f"<h1>{escape(title)}</h1><p>{escape(told)}</p>",
+        f"<h1>{escape(title)}</h1><p>{escape(summary)}</p>",
         table_html(("way", "off in frames left out", ""), rows) if rows else "",
         table_html(("option", "as"), [(name, str(value)) for name, value in asked.items()]) if asked else "",
         f"<h2>Parts</h2>{picture(frames[0], faces, colours)}",
         table_html(("part", "vertices", "follows", "width", "ridge", "its modes explain"), facts),
-        f"<h2>Error of each vertex</h2><p>Dark: none; yellow: {np.percentile(errors, 99):.2f} % of the diagonal and more.</p>",
+        f"<h2>Error of each vertex</h2><p>Dark: 0; yellow: {np.percentile(errors, 99):.2f} % of the diagonal and more.</p>",
         picture(frames[0], faces, heat),
         f"<h2>Shape modes</h2><p>How much of what a rigid motion leaves of a part its modes explain.</p>{curves(shares)}",
     ]

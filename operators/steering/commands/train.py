@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from kinegraph.stream.domain.mesh import Topology
 
 MOST_FRAMES, STEEP = 400, 0.9
-"""Of a longer recording as many frames are taken. A heading whose sine of the angle to the ground is above the second is none."""
+"""Most frames taken of a longer recording. A heading steeper than the second (sine of its angle to the ground) does not count."""
 LISTS = ("reference", "limbs", "heading")
 """What a file of markers may say beside `markers`: lists of some of them."""
 KEYS = ("markers", *LISTS, "performer")
@@ -134,37 +134,37 @@ def steering(
     parted = skeleton or any(asked[name] != known[0] for name, known in ASSEMBLIES.items())
     _refuse(output, report, method, asked, skeleton=skeleton, parted=parted, overwrite=overwrite)
     frames, topology, axes = _frames(recordings)
-    said = _markers(markers, topology.vertices)
-    _refuse_method(method, markers, said, ways, performed=performer is not None)
-    graph = _body_graph(frames, topology, markers, said, to_other, performer=performer is not None)
-    _tell_heading(recordings[0].name, frames[:, [said["markers"][name] for name in said["heading"]]])
-    performed = _performed(performer, tuple(said["performer"].values()), axes) if performer else None
+    table = _markers(markers, topology.vertices)
+    _refuse_method(method, markers, table, ways, performed=performer is not None)
+    graph = _body_graph(frames, topology, markers, table, to_other, performer=performer is not None)
+    _tell_heading(recordings[0].name, frames[:, [table["markers"][name] for name in table["heading"]]])
+    performed = _performed(performer, tuple(table["performer"].values()), axes) if performer else None
     if performer and performed is not None:
-        _tell_heading(performer.name, performed[:, [list(said["markers"]).index(name) for name in said["heading"]]])
+        _tell_heading(performer.name, performed[:, [list(table["markers"]).index(name) for name in table["heading"]]])
     say(f"{len(frames)} frames of {topology.vertices} vertices; learning ...")
-    given = (topology.faces, said["markers"], said["reference"], said["limbs"], parts, modes, said["heading"])
+    given = (topology.faces, table["markers"], table["reference"], table["limbs"], parts, modes, table["heading"])
     if part_error:
         given = (*given[:4], _fewest(frames, topology, parts, part_error, method), *given[5:])
-    poses = _poses(frames, topology, markers, said, (pose, regression, skeleton), asked)
+    poses = _poses(frames, topology, markers, table, (pose, regression, skeleton), asked)
     way, other_body = ("parts" if parted else method or None), performer is not None
     with bar("learning") as progress:
         model, how, off, pull = choose(frames, *given, way, how=poses, performed=other_body, progress=progress)  # type: ignore[arg-type]
-    told = {"method": how, **ways}
+    facts = {"method": how, **ways}
     if report:
         from kinegraph.operators.steering.commands.report import write_report
 
         error = write_report(
             report, f"{output.name}: {topology.name or 'a mesh'}", model, how, off, frames, topology.faces,
-            lambda rows: choose(rows, *given, how, pull, poses)[0], {**told, **_softly(model)},
+            lambda rows: choose(rows, *given, how, pull, poses)[0], {**facts, **_softly(model)},
         )  # fmt: skip
         say(f"{report}: off by {error:.3f} % of the mesh's diagonal in every fourth frame, left out")
     if performed is not None:
-        model = adapt(model, frames[:, model.vertices], performed, said["heading"], ranges, pairing, graph)  # type: ignore[arg-type]
-        told |= to_other
-    header, arrays = to_arrays(model, topology, tuple(said["limbs"]))
-    told |= {"left_out": off, "softly": _softly(model), "trained_on": [path.name for path in recordings]}
-    told |= {"axes": axes.facts()} if axes else {}
-    write_model(output, KIND, {**header, **told, "performer": performer.name if performer else ""}, arrays)
+        model = adapt(model, frames[:, model.vertices], performed, table["heading"], ranges, pairing, graph)  # type: ignore[arg-type]
+        facts |= to_other
+    header, arrays = to_arrays(model, topology, tuple(table["limbs"]))
+    facts |= {"left_out": off, "softly": _softly(model), "trained_on": [path.name for path in recordings]}
+    facts |= {"axes": axes.facts()} if axes else {}
+    write_model(output, KIND, {**header, **facts, "performer": performer.name if performer else ""}, arrays)
     _tell(output, model, how, off, pull)
 
 
@@ -239,11 +239,11 @@ def _softly(model: Steering) -> dict[str, float]:
     return {"beta": soft.beta, "marked": soft.marked} if soft else {}
 
 
-def _refuse_method(method: str, markers: File, said: dict[str, Any], ways: dict[str, Any], *, performed: bool) -> None:
+def _refuse_method(method: str, markers: File, table: dict[str, Any], ways: dict[str, Any], *, performed: bool) -> None:
     """What cannot be asked for with these markers. Raises KinegraphError."""
-    if ways["blend"] == "shared" and not said["limbs"]:
+    if ways["blend"] == "shared" and not table["limbs"]:
         raise KinegraphError(f"{markers}: --blend shared: names no limbs that could share a part")
-    if said["limbs"] and method not in ("", "parts"):
+    if table["limbs"] and method not in ("", "parts"):
         raise KinegraphError(
             f"{markers}: limbs move by themselves only where there are parts; leave out --method {method}"
         )
@@ -287,7 +287,7 @@ def _poses(
     frames: Samples,
     mesh: Topology,
     markers: File,
-    said: dict[str, Any],
+    table: dict[str, Any],
     options: tuple[str, str, bool],
     assembly: dict[str, str],
 ) -> PoseRegression:
@@ -300,7 +300,7 @@ def _poses(
     for name, asked, known in (("pose", pose, POSES), ("regression", regression, REGRESSIONS)):
         if asked not in known:
             raise KinegraphError(f"--{name}: there is no {name} {asked!r}; {nearest(asked, known)}")
-    given = said["markers"], said["reference"], said["limbs"], said["heading"]
+    given = table["markers"], table["reference"], table["limbs"], table["heading"]
     try:
         other = [assembly[name] != known[0] for name, known in ASSEMBLIES.items()]
         return regression_of(frames, mesh.faces, *given, pose, regression, skeleton, *other)  # type: ignore[arg-type]
@@ -309,7 +309,7 @@ def _poses(
 
 
 def _body_graph(
-    frames: Samples, mesh: Topology, markers: File, said: dict[str, Any], asked: dict[str, str], *, performer: bool
+    frames: Samples, mesh: Topology, markers: File, table: dict[str, Any], asked: dict[str, str], *, performer: bool
 ) -> MarkerGraph | None:
     """The graph that --ranges graph and --pairing swing go by; None where neither is asked for."""
     from kinegraph.operators.steering.model.adapt import PAIRINGS, RANGES
@@ -324,7 +324,7 @@ def _body_graph(
         return None
     if not performer:
         raise KinegraphError(f"{one}: only for a performer of another body; give --performer, or leave it out")
-    given = said["markers"], said["reference"], said["limbs"], said["heading"]
+    given = table["markers"], table["reference"], table["limbs"], table["heading"]
     try:
         return regression_of(frames, mesh.faces, *given, "angles").graph
     except ValueError as error:
@@ -419,30 +419,30 @@ def _performers(path: File, given: Any, markers: list[str]) -> dict[str, str]:
 
 
 def _markers(path: File, vertices: int) -> dict[str, Any]:
-    """What the file of markers says, checked against the mesh."""
-    said = marker_file(path, "names to numbers of vertices")
-    for key in said:
+    """The file of markers, checked against the mesh."""
+    table = marker_file(path, "names to numbers of vertices")
+    for key in table:
         if key not in KEYS:
             raise KinegraphError(f"{path}: {key!r} is not known; {nearest(str(key), KEYS)}")
-    for name, vertex in said["markers"].items():
+    for name, vertex in table["markers"].items():
         if not isinstance(vertex, int) or isinstance(vertex, bool) or not 0 <= vertex < vertices:
             raise KinegraphError(f"{path}: markers.{name} is {vertex!r}; the mesh has vertices 0 to {vertices - 1}")
-        if other := next((n for n, v in said["markers"].items() if v == vertex and n != name), ""):
+        if other := next((n for n, v in table["markers"].items() if v == vertex and n != name), ""):
             raise KinegraphError(f"{path}: markers {other!r} and {name!r} are both vertex {vertex}; give each its own")
     for key in LISTS:
-        said[key] = said.get(key) or []
-        if not isinstance(said[key], list):
-            raise KinegraphError(f"{path}: {key} is {said[key]!r}; it must be a list of markers: [{said[key]}]")
-        for name in said[key]:
-            if name not in said["markers"]:
+        table[key] = table.get(key) or []
+        if not isinstance(table[key], list):
+            raise KinegraphError(f"{path}: {key} is {table[key]!r}; it must be a list of markers: [{table[key]}]")
+        for name in table[key]:
+            if name not in table["markers"]:
                 raise KinegraphError(
-                    f"{path}: {key}: there is no marker {name!r}; {nearest(str(name), said['markers'])}"
+                    f"{path}: {key}: there is no marker {name!r}; {nearest(str(name), table['markers'])}"
                 )
-    said["performer"] = _performers(path, said.get("performer"), list(said["markers"]))
-    if len(said["heading"]) not in (0, 2) or len(set(said["heading"])) != len(said["heading"]):
+    table["performer"] = _performers(path, table.get("performer"), list(table["markers"]))
+    if len(table["heading"]) not in (0, 2) or len(set(table["heading"])) != len(table["heading"]):
         raise KinegraphError(
             f"{path}: heading: must name two markers, from the one to the other of which the mesh faces"
         )
-    if not said["reference"]:
-        said["reference"] = [name for name in said["markers"] if name not in said["limbs"]] or list(said["markers"])
-    return said
+    if not table["reference"]:
+        table["reference"] = [name for name in table["markers"] if name not in table["limbs"]] or list(table["markers"])
+    return table

@@ -24,7 +24,7 @@ NEAR = 3.0
 
 
 def limb_frames(performed: Samples, mesh: Samples) -> Times:
-    """For each performed frame the mesh's frame whose angle changes most alike (equation 9.9): (n,) for angles (n,) and (f,).
+    """For each performed frame the mesh's frame with the most similar change of angle (equation 9.9): (n,) for angles (n,) and (f,).
 
     Angles are in rad, their changes are forward differences, the last as the one before; a change in the other direction
     costs a standard deviation of `performed`.
@@ -35,7 +35,7 @@ def limb_frames(performed: Samples, mesh: Samples) -> Times:
 
 
 def nearest_frames(performed: Samples, mesh: Samples) -> Times:
-    """For each performed frame (n, m, 3) the frame of the mesh (f, m, 3) whose markers lie nearest in the sum of squares (9.10)."""
+    """For each performed frame (n, m, 3) the frame of the mesh (f, m, 3) with the nearest markers by sum of squares (9.10)."""
     cost = ((performed[:, None] - mesh[None]) ** 2).sum(axis=(2, 3))
     return np.asarray(cost.argmin(axis=1), np.int64)
 

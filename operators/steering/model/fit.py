@@ -61,7 +61,7 @@ class Steering:
     reach          how far the mesh goes for a metre of its reference markers
     soft, most     (vertices, m), m  how much each vertex moves for what each marker's vertex is off by, and by what most of that; (0, 0)
                    where markers are no soft constraints
-    graph          the graph by whose angles and lengths the markers tell the pose; None where their positions do
+    graph          the graph with the angles and lengths that define the pose; None if the markers' positions do
     settling       what brings the parts to fit one another; None where they stay as predicted
     """
 
@@ -114,10 +114,10 @@ class Steering:
     def __call__(self, marks: Samples, count: int, earlier: Samples | None = None) -> Samples:
         """The mesh (f, count, 3) for markers (f, m, 3) that were elsewhere `earlier`: the slow reference of the operator's kernel."""
         x, centre, turns = self.features(marks)
-        told = self.pose(x, None if earlier is None else self.features(earlier)[0])
+        features = self.pose(x, None if earlier is None else self.features(earlier)[0])
         made = np.zeros((len(marks), count, 3))
         predicted: list[Samples] = []
-        seen_by = [self._seen(part, x, told) for part in self.parts]
+        seen_by = [self._seen(part, x, features) for part in self.parts]
         for part, (own, placed) in zip(self.parts, seen_by, strict=True):
             y = part.learned(own)
             y = np.hstack([placed, y[:, 9:]]) if part.frame else y
@@ -144,17 +144,17 @@ class Steering:
         """How far markers (1, m, 3) that stand still are from the training, in kernel widths, the largest of all parts; or the first that
         is larger than `enough`."""
         x = self.features(marks)[0]
-        told, far = self.pose(x), 0.0
+        features, far = self.pose(x), 0.0
         for part in self.parts:
-            far = max(far, part.learned.outside(self._seen(part, x, told)[0][0]))
+            far = max(far, part.learned.outside(self._seen(part, x, features)[0][0]))
             if far > enough:
                 break
         return far
 
-    def _seen(self, part: Part, x: Samples, told: Samples) -> tuple[Samples, Samples]:
-        """What a part goes by, and, where it moves with a frame of markers, how that is turned and where (f, 9)."""
+    def _seen(self, part: Part, x: Samples, features: Samples) -> tuple[Samples, Samples]:
+        """A part's features, and, if it moves with a frame of markers, that frame's turn and place (f, 9)."""
         if part.frame is None:
-            return told[:, part.features], np.zeros((len(x), 0))
+            return features[:, part.features], np.zeros((len(x), 0))
         turns, middles, own = part.frame(x.reshape(len(x), -1, 3))
         return own, np.hstack([turns[:, :, 0], turns[:, :, 1], middles])
 
@@ -170,7 +170,7 @@ def headings(marks: Samples, facing: Samples) -> Samples:
 
 
 def turned(points: Samples, turns: Samples) -> Samples:
-    """`points` (f, n, 3) turned about the vertical, y, by the angles whose cosine and sine are `turns` (f, 2)."""
+    """`points` (f, n, 3) turned about the vertical, y, by the angles with cosine and sine `turns` (f, 2)."""
     c, s = turns[:, :1], turns[:, 1:]
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     return np.stack([c * x + s * z, y, c * z - s * x], axis=-1)
@@ -208,9 +208,9 @@ def fit_steering(
 ) -> Steering:
     """Learn how a mesh's `frames` (f, vertices, 3) follow from the vertices that `markers` names.
 
-    reference  the markers whose mean is where the mesh is
+    reference  the markers with the mesh's place as mean
     limbs      markers that alone drive the parts nearest to them, so that limbs can move as they never did together; the other parts,
-               and all where none are named, go by all markers
+               and all parts without limbs, follow all markers
     heading    two markers, from the one to the other of which the mesh faces, so that it may turn (y is up)
     earlier    (f, m, 3) where the markers were a frame before each; left out: the frames come one after the other
     """
@@ -374,12 +374,12 @@ def untrained(
     x, centre, turns = bare.features(frames[:, at])
     seen = x.reshape(len(x), -1, 3)
     points = turned(frames - centre, turns * [1.0, -1.0]) if heading else frames - centre
-    told = bare.pose(x, None if earlier is None else bare.features(earlier)[0])
-    return replace(bare, usual=seen.mean(axis=0), spread=seen.std(axis=0)), points, told
+    features = bare.pose(x, None if earlier is None else bare.features(earlier)[0])
+    return replace(bare, usual=seen.mean(axis=0), spread=seen.std(axis=0)), points, features
 
 
 def _part(points: Samples, vertices: Times, weights: Samples, modes: int, features: Times) -> tuple[Part, Samples]:
-    """Mean shape and modes of a part whose vertices are at `points` (f, n, 3), not yet learned; and its poses and shapes (f, 9 + k)."""
+    """Mean shape and modes of a part with vertices at `points` (f, n, 3), not yet learned; and its poses and shapes (f, 9 + k)."""
     mean = points[0]
     for _ in range(FITS):
         fits = [rigid(frame, mean) for frame in points]

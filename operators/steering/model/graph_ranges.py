@@ -26,9 +26,9 @@ class GraphAngles:
         """Of markers (f, m, 3)."""
         k = len(graph.edges)
         plain = replace(graph, lengths=np.ones(k), shares=np.zeros(k))
-        told = plain(marks, marks).reshape(len(marks), k, 2)
+        angles = plain(marks, marks).reshape(len(marks), k, 2)
         first = np.linalg.norm(marks[:, graph.lead[1]] - marks[:, graph.lead[0]], axis=-1)
-        return GraphAngles(told[..., 0], told[..., 1], first[:, None])
+        return GraphAngles(angles[..., 0], angles[..., 1], first[:, None])
 
 
 def in_range(performed: Samples, mesh: Samples, least: Samples | float, most: float = np.inf) -> Samples:
@@ -38,7 +38,7 @@ def in_range(performed: Samples, mesh: Samples, least: Samples | float, most: fl
 
 
 def graph_matched(graph: MarkerGraph, performed: Samples, mesh: Samples, reference: Times) -> Samples:
-    """Performed markers (n, m, 3) whose angles and edge lengths have the means and variances of the mesh's (f, m, 3): about the mean of
+    """Performed markers (n, m, 3) with angles and edge lengths scaled to the means and variances of the mesh's (f, m, 3): about the mean of
     the markers `reference`.
 
     The graph is a tree, so that inverse kinematics has one solution that meets all angles and lengths: from the reference edge on,

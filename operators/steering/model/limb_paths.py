@@ -18,7 +18,7 @@ def limb_paths(part: Times, edges: Times, rest: Samples, ends: Sequence[int], bo
 
     part (v,) cluster of each vertex; edges (m, 2), rest (v, 3) of the mesh; ends, body  vertices of the limbs' markers and the others
 
-    The shortest path goes through the fewest clusters; of equally many, through those whose middles lie nearest.
+    The shortest path goes through the fewest clusters; of equally many, through those with the nearest middles.
     """
     count = int(part.max()) + 1
     if not body:
@@ -60,7 +60,7 @@ def shared_weights(
 
 
 def blended(apart: Samples) -> Samples:
-    """Weights (m, v) of m limbs at vertices whose distances to the limbs' borders are `apart` (m, v), inf where they are not joined.
+    """Weights (m, v) of m limbs at vertices with distances `apart` (m, v) to the limbs' borders, inf where they are not joined.
 
     Of two limbs they are as equation 9.16 prints them: (d1 + d2 - dl) / (d1 + d2). Of more, what is printed adds up to m - 1 rather than to
     1, and other limbs weigh at a limb's border. In its place stands w_l = prod(d_i, i != l), divided by the sum of these: the same for two,

@@ -74,9 +74,9 @@ def _apart(vertices: Times, edges: Times, rest: Samples) -> Samples:
 
 
 def _region(points: Samples, vertices: Times, weights: Samples, seen: Samples, counts: tuple[Samples, Samples]) -> Part:
-    """A region whose vertices are at `points` (f, n, 3), by markers `seen` (f, m, 3), which count as said for its turn and its bend."""
+    """Fits a region with vertices at `points` (f, n, 3) to markers `seen` (f, m, 3), weighted by `counts` for its turn and its bend."""
     frame = MarkerFrame.of(seen, *counts)
-    turns, middles, told = frame(seen)
+    turns, middles, features = frame(seen)
     local = (points - middles[:, None]) @ turns
     mean = local.mean(axis=0)
     off = (local - mean).reshape(len(local), -1)
@@ -85,5 +85,5 @@ def _region(points: Samples, vertices: Times, weights: Samples, seen: Samples, c
     enough = int(np.argmax(left <= KEPT * max(float(np.linalg.norm(np.ptp(mean, axis=0))), 1e-9)))
     basis = directions[: min(enough, MODES)]
     still = np.tile([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], (len(local), 1))
-    learned = learn(told, np.hstack([still, off @ basis.T / np.sqrt(len(mean))]))
-    return Part(vertices, weights, mean, basis, 1.0, np.arange(told.shape[1]), learned, frame=frame)
+    learned = learn(features, np.hstack([still, off @ basis.T / np.sqrt(len(mean))]))
+    return Part(vertices, weights, mean, basis, 1.0, np.arange(features.shape[1]), learned, frame=frame)

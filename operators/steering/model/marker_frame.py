@@ -49,15 +49,15 @@ class MarkerFrame:
     def __call__(self, seen: Samples) -> tuple[Samples, Samples, Samples]:
         """The frame's motions, and markers as seen from it, by their shares: (f, 3 m)."""
         turns, middles = self.motions(seen)
-        told = ((seen - middles[:, None]) @ turns) * self.shares[:, None]
-        return turns, middles, told.reshape(len(seen), -1)
+        features = ((seen - middles[:, None]) @ turns) * self.shares[:, None]
+        return turns, middles, features.reshape(len(seen), -1)
 
 
 @kernel
 def see_from(
-    marks: Samples, weights: Samples, usual: Samples, shares: Samples, pose: Samples, told: Samples, room: Samples
+    marks: Samples, weights: Samples, usual: Samples, shares: Samples, pose: Samples, features: Samples, room: Samples
 ) -> None:
-    """A sample's markers (m, 3) as a `MarkerFrame` sees them, into `told` (3 m,); two columns of its turn and its place into `pose` (9,).
+    """Writes a sample's markers (m, 3) as a `MarkerFrame` sees them into `features` (3 m,); turn columns and place into `pose` (9,).
 
     The turn is Horn's quaternion (1987): the eigenvector of the largest eigenvalue of a matrix (4, 4), by Jacobi's rotations. `room`
     is (11, 4).
@@ -91,7 +91,7 @@ def see_from(
             s = 0.0
             for a in range(3):
                 s += (marks[k, a] - pose[6 + a]) * turn[a, b]
-            told[3 * k + b] = shares[k] * s
+            features[3 * k + b] = shares[k] * s
 
 
 @kernel

@@ -15,8 +15,8 @@ from kinegraph.stream.chunk import Samples, Times
 class Part:
     """A near-rigid part: its vertices, their weights, mean shape about its centre (n, 3), modes (k, 3 n), size; and its regression.
 
-    features  which of all features it goes by
-    parent    the part from which it hangs; -1: none, it is placed by itself
+    features  the features that it follows
+    parent    the part that carries it; -1 if it is placed by itself
     above, own (1 + k, 3)  the virtual joint in the parent's frame and in its own, and how each mode moves it; (0, 3) without a parent
     frame     what the part moves with, and sees its markers from, where its place is not learned
     """

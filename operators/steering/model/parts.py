@@ -39,7 +39,7 @@ def seams_of(frames: Samples) -> Times:
 def near_rigid_parts(frames: Samples, edges: Times, count: int) -> Times:
     """The part (vertices,) of each vertex of a mesh's `frames` (f, vertices, 3), numbered from 0; at most `count` of them.
 
-    Each vertex goes to the part whose affine subspace holds its trajectory best; the subspaces are fitted to their vertices in turn.
+    Each vertex goes to the part with the affine subspace nearest to its trajectory; the subspaces are fitted to their vertices in turn.
     What is not joined to most of its part goes to the neighbouring ones.
     """
     moved = np.ascontiguousarray(frames.transpose(1, 0, 2)).reshape(frames.shape[1], -1)

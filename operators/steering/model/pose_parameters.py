@@ -77,12 +77,12 @@ class MarkerGraph:
         against = np.concatenate([along, first], axis=1)[:, self.before]
         cross = np.linalg.norm(np.cross(against, along), axis=-1)
         angles = np.arctan2(cross, (against * along).sum(axis=-1)) * self.lengths
-        told = np.stack([angles, np.linalg.norm(along, axis=-1)], axis=-1)
+        features = np.stack([angles, np.linalg.norm(along, axis=-1)], axis=-1)
         if self.block == 5:
             step = (marks - earlier)[:, self.edges[:, 1]]
             step = step / np.maximum(np.linalg.norm(step, axis=-1), self.still)[..., None] * self.shares[:, None]
-            told = np.concatenate([told, step], axis=-1)
-        return np.asarray(told.reshape(len(marks), -1))
+            features = np.concatenate([features, step], axis=-1)
+        return np.asarray(features.reshape(len(marks), -1))
 
 
 def backward(marks: Samples) -> Samples:

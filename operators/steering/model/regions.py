@@ -80,7 +80,7 @@ def regions_outside(
     marks: Samples, counts: Samples, places: Samples, shares: Samples, centres: Samples, scales: Samples, enough: float
 ) -> float:
     """`Regions.outside`."""
-    told, room, pose, every = (
+    features, room, pose, every = (
         np.empty(3 * marks.shape[0]),
         np.empty((11, 4)),
         np.empty(9),
@@ -88,10 +88,10 @@ def regions_outside(
     )
     far = 0.0
     for r in range(counts.shape[0]):
-        see_from(marks, counts[r], places[r], shares[r], pose, told, room)
+        see_from(marks, counts[r], places[r], shares[r], pose, features, room)
         least = math.inf
         for f in range(centres.shape[1]):
-            least = min(least, apart(told, every, centres[r, f]))
+            least = min(least, apart(features, every, centres[r, f]))
         far = max(far, math.sqrt(2.0 * scales[r] * least))
         if far > enough:
             break
@@ -116,13 +116,13 @@ def add_regions(
     out: Samples,
 ) -> float:
     """`Regions.add`."""
-    told, room, turn = np.empty(3 * marks.shape[0]), np.empty((11, 4)), np.empty((3, 3))
+    features, room, turn = np.empty(3 * marks.shape[0]), np.empty((11, 4)), np.empty((3, 3))
     pose, y, every = np.empty(9), np.empty(usual.shape[1]), np.arange(3 * marks.shape[0])
     far = 0.0
     for r in range(begins.shape[0] - 1):
         first, n = begins[r], begins[r + 1] - begins[r]
-        see_from(marks, counts[r], places[r], shares[r], pose, told, room)
-        far = max(far, predict(told, every, centres[r], ridge[r], usual[r], scales[r], y))
+        see_from(marks, counts[r], places[r], shares[r], pose, features, room)
+        far = max(far, predict(features, every, centres[r], ridge[r], usual[r], scales[r], y))
         columns(pose, turn)
         shape, spread = np.empty(3 * n), math.sqrt(n)
         for i in range(n):

@@ -56,7 +56,7 @@ def squares(a: Samples, b: Samples) -> Samples:
 
 
 def learn(x: Samples, y: Samples, regression: Regression = "kernel") -> Learned:
-    """The regression from `x` (f, d) to `y` (f, q) whose frames, left out one by one, it predicts best."""
+    """The regression from `x` (f, d) to `y` (f, q) with the smallest leave-one-out error."""
     if regression == "linear" and len(x) > 1:
         return _linear(x, y)
     apart, mean = squares(x, x), y.mean(axis=0)

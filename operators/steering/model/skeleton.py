@@ -12,12 +12,12 @@ from kinegraph.stream.kernel import kernel
 
 
 def tree_of(shared: Times, root: int) -> tuple[list[int], list[int]]:
-    """In what order parts are joined, and the parent of each in that order (its place there; -1: none).
+    """The order in which parts are joined, and the place of each one's parent in that order, or -1.
 
     shared (k, k)  how many edges of the mesh go from one part to the other
 
     From the root on, the part that has the longest border with one that is joined already comes next: the order of the thesis's greedy
-    alignment, which counts vertices in the overlap. What has none begins a tree of its own.
+    alignment, which counts vertices in the overlap. A part without such a border begins a tree of its own.
     """
     order, parents = [root], [-1]
     while len(order) < len(shared):

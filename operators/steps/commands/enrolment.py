@@ -1,4 +1,4 @@
-"""Which of the enrolled walks, or nobody's: how often a forest of persons accepts strangers and rejects those it knows."""
+"""How often a forest of persons accepts strangers and rejects people it knows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kinegraph.stream.errors import KinegraphError
 class Enrolment:
     """known: the share of known people's left-out walks that were given the right name, threshold aside; threshold: of the mean probability
     of the likeliest; false_accept: of strangers' walks that were taken for somebody, by the threshold of the other strangers; false_reject:
-    of known people's walks that were taken for nobody or another; strangers, walks: how many walks of each."""
+    of known people's walks that were taken for a stranger or another person; strangers, walks: how many walks of each."""
 
     known: float
     threshold: float

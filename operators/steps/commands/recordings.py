@@ -73,7 +73,7 @@ def read_walk(path: Path, finder: Steps, stream: str = "") -> Walk:
         names = [stream] if stream else list(recording.streams)
         fitting = [name for name in names if _suits(finder, recording.stream(name).spec)]
         if len(fitting) != 1:
-            what = f"{', '.join(fitting)} could be meant" if fitting else "none is acceleration at a regular rate"
+            what = f"{', '.join(fitting)} could be meant" if fitting else "no stream is acceleration at a regular rate"
             raise KinegraphError(f"{path}: --stream must name the inertial sensor's signal; {what}")
         operator = finder.unopened()
         spec = operator.open({"in": recording.stream(fitting[0]).spec})["steps"]

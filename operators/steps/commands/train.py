@@ -116,10 +116,10 @@ def show(made: StepTraining, title: str, sure: float) -> None:
         return
     show_trust(made.tried, title)
     if made.model.header["uncertain_below"] > 1.0:
-        said = 'live, this model will say "uncertain" at every step'
+        text = 'live, this model will say "uncertain" at every step'
         guesses = made.model.header["verdict"] != "better than guessing"
         say(
-            f"{said}: {'it is not better than guessing' if guesses else f'left-out steps were never right in {sure:.0%}'}"
+            f"{text}: {'it is not better than guessing' if guesses else f'left-out steps were never right in {sure:.0%}'}"
         )
 
 
@@ -157,5 +157,5 @@ def show_enrolment(found: Enrolment, people: int) -> None:
     say(f"of {found.walks} left-out walks of {people} enrolled people {found.known:.1%} had the right name")
     say(
         f"with a threshold of {found.threshold:.3f}: strangers taken for somebody {found.false_accept:.1%} of {found.strangers} walks, "
-        f"enrolled people taken for nobody or another {found.false_reject:.1%} of {found.walks}"
+        f"enrolled people taken for a stranger or another {found.false_reject:.1%} of {found.walks}"
     )

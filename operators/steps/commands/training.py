@@ -57,10 +57,10 @@ def _of_enrolment(found: Enrolment) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _of_trust(own: Trust, given: Labelled, said: Any, sure: float) -> dict[str, Any]:
+def _of_trust(own: Trust, given: Labelled, answers: Any, sure: float) -> dict[str, Any]:
     """What a model's header says of what it is worth; "uncertain" at every step where that is no better than guessing."""
     guessing = own.verdict != "better than guessing"
-    threshold = 1.01 if guessing else uncertain_below(own.probability, said == given.labels, sure)
+    threshold = 1.01 if guessing else uncertain_below(own.probability, answers == given.labels, sure)
     accuracy = {
         "random_split": own.random,
         "subject_wise": own.subjects,

@@ -18,7 +18,7 @@ SETS = ("acceleration", "angular_velocity", "both")
 
 @dataclass(frozen=True, slots=True)
 class Labelled:
-    """Steps (n, 50), and of each: its class, whose it is, and in which walk (recording).
+    """Steps (n, 50), and of each: its class, its person, and its walk (recording).
 
     alike   in training every class counts as much, and in it every person, however many steps there are of them
     """
@@ -143,14 +143,14 @@ def trust(given: Labelled, features: str, trees: int = 60, shuffles: int = 19) -
         ]
     )
     probability = leave_out(given, columns, trees)
-    said = classes[probability.argmax(axis=1)]
+    answers = classes[probability.argmax(axis=1)]
     people = np.unique(given.persons)
-    right = [(said == given.labels)[given.persons == p].mean() > 0.5 for p in people]
+    right = [(answers == given.labels)[given.persons == p].mean() > 0.5 for p in people]
     low, high = wilson(float(sum(right)), float(len(people)))
     majority = max(float((given.labels == c).mean()) for c in classes)
     return Trust(
-        features, float(random.mean()), float((said == given.labels).mean()), majority, int(sum(right)), len(people), low, high,
-        permutation(given, columns, shuffles), [_per_class(str(c), said == c, given.labels == c) for c in classes], probability,
+        features, float(random.mean()), float((answers == given.labels).mean()), majority, int(sum(right)), len(people), low, high,
+        permutation(given, columns, shuffles), [_per_class(str(c), answers == c, given.labels == c) for c in classes], probability,
     )  # fmt: skip
 
 
@@ -184,7 +184,7 @@ def _thinned(given: Labelled, most: int) -> Labelled:
 
 
 def uncertain_below(probability: Samples, right: Array, wanted: float) -> float:
-    """The least probability from which left-out people's steps are right in `wanted` of cases, at least a tenth of all; 1.01: none is."""
+    """The probability above which left-out people's steps are right in `wanted` of cases, at least a tenth of all; 1.01 without one."""
     best = probability.max(axis=1)
     for threshold in np.arange(0.0, 1.0, 0.02):
         sure = best >= threshold
@@ -193,8 +193,8 @@ def uncertain_below(probability: Samples, right: Array, wanted: float) -> float:
     return 1.01
 
 
-def _per_class(name: str, said: Array, true: Array) -> PerClass:
+def _per_class(name: str, answers: Array, true: Array) -> PerClass:
     def share(a: Array, of: Array) -> float:
         return float((a & of).sum() / of.sum()) if of.any() else float("nan")
 
-    return PerClass(name, share(said, true), share(~said, ~true), share(true, said))
+    return PerClass(name, share(answers, true), share(~answers, ~true), share(true, answers))

@@ -120,7 +120,7 @@ def read_shown(text: str) -> Shown:
 
 
 def name_clusters(takes: list[Take], shown: list[Shown], rate_hz: float) -> tuple[list[Take], list[str]]:
-    """Takes whose clusters count from 0 without holes, and their names: those that were given, else A, B, ... in order.
+    """Takes with clusters renumbered from 0 without holes, and their names: the given ones, else A, B, ... in order.
 
     Clusters of one name are one. Raises KinegraphError where nothing repeats in the seconds given.
     """
@@ -183,20 +183,20 @@ def read_takes(recordings: list[File], rate_hz: float) -> tuple[JointTree, list[
                         raise KinegraphError(f"{path}: {name}: {error}; a motion graph is of human poses") from None
                     tree = tree or symmetric(body)
                     made[:, :3] *= _leg(tree) / max(_leg(body), 1e-3)
-                    none = np.empty((0, 2), np.int64), np.empty(0, np.int64)
-                    spans, cluster = spans_of(primitive, start, len(made), rate_hz) if len(primitive) else none
+                    empty = np.empty((0, 2), np.int64), np.empty(0, np.int64)
+                    spans, cluster = spans_of(primitive, start, len(made), rate_hz) if len(primitive) else empty
                     takes.append(Take(f"{path.name}: {name}", start, made, spans, cluster))
                     say(f"{path}: {name}: {len(made) / rate_hz:.1f} s")
     if tree is None:
         raise KinegraphError(
             "no stream of poses in these recordings (or one pose only); "
-            "`kinegraph files import` makes one of each BVH file whose --unit is said"
+            "`kinegraph files import` makes one of each BVH file, given its --unit"
         )
     return tree, takes
 
 
 def _primitives(opened: Recording) -> Array:
-    """The primitives that a recording holds, clusters as they are in the end; empty where it holds none."""
+    """A recording's primitives with their final clusters; empty without any."""
     import numpy as np
 
     def events(fields: set[str]) -> Array:

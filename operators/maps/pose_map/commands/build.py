@@ -21,7 +21,7 @@ STEPS = 100_000
 ENOUGH = 0.5
 """A marker that fewer poses of a sequence know is left out of the map."""
 STILL_M = 1e-6
-"""Poses whose spread (rms) is below this are all the same."""
+"""Poses with a spread (rms) below this are all the same."""
 
 
 def build_index(
@@ -143,7 +143,7 @@ def learn(codes: Samples, columns: int, x: Samples, seed: int) -> None:
 def placed(
     poses: Array, features: Times, step: float, codes: Samples, columns: int
 ) -> tuple[Times, Array, Samples, int]:
-    """Of all poses: nearest cell, place between cells (0 where there is none), distance; how many have torn neighbours."""
+    """Of all poses: nearest cell, place between cells (0 if unknown), distance; how many have torn neighbours."""
     n = len(poses)
     cell, som, error = np.empty(n, np.int64), np.empty((n, 2), np.float32), np.empty(n)
     torn, by_feature, found = 0, np.ascontiguousarray(codes.T), np.zeros(2, np.int64)

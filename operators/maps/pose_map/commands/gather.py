@@ -47,7 +47,7 @@ class PoseReading:
     ahead: str = ""
 
     def read(self, path: Path) -> list[GatheredPoses]:
-        """All sequences of a recording. Raises KinegraphError for one that holds none."""
+        """All sequences of a recording. Raises KinegraphError for one without sequences."""
         made: list[GatheredPoses] = []
         with Recording.open(path) as opened:
             facts = {str(k)[:60]: str(v)[:200] for k, v in (opened.header.get("session") or {}).items()}
@@ -101,7 +101,7 @@ class PoseReading:
 
 
 def one_of_each(names: list[str], recording: Recording) -> list[str]:
-    """Without the poses of a node or file whose positions are there as well: they are the same motion once more."""
+    """Drops the poses of a node or file with recorded positions: they are the same motion once more."""
     placed = [name for name in names if not _is_pose(recording.streams[name].spec)]
 
     def again(name: str) -> bool:
@@ -123,7 +123,7 @@ def _is_pose(spec: StreamSpec) -> bool:
 
 
 def as_points(where: str, spec: StreamSpec, rows: Array) -> tuple[StreamSpec, Array, list[int] | None]:
-    """Points (n, p, 3) with names and a length's unit; of a skeleton its joints, and whose parents they have."""
+    """Points (n, p, 3) with names and a length's unit; of a skeleton its joints, and their parents."""
     if "skeleton" in spec.meta:
         tree = JointTree.of(spec, where)
         joints = np.empty((len(rows), len(tree.joints), 3), np.float32)

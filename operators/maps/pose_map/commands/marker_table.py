@@ -20,7 +20,7 @@ class MarkerTable:
     """
     origin, ahead   markers of the set: positions are relative to the first; the second is turned into the x-y plane
     up              the recordings' axis that points up; None: as they declare, else y
-    markers         per marker of the set, what it may be called: of each name the markers whose mean it is; the first that is there counts
+    markers         per marker of the set, its possible names, each with the markers to average; the first that exists counts
     bones           pairs of markers that are joined by a line
     """
 
@@ -42,21 +42,21 @@ class MarkerTable:
 
 def read_table(path: Path) -> MarkerTable:
     """A table from a YAML file. Raises KinegraphError, with the file and what is wrong."""
-    said = marker_file(path, "each marker to its names in recordings")
-    for key in said:
+    table = marker_file(path, "each marker to its names in recordings")
+    for key in table:
         if key not in KEYS:
             raise KinegraphError(f"{path}: {key!r} is not known; {nearest(str(key), KEYS)}")
-    markers = {str(name): _ways(path, name, given) for name, given in said["markers"].items()}
+    markers = {str(name): _ways(path, name, given) for name, given in table["markers"].items()}
     if len(markers) > MOST_MARKERS:
         raise KinegraphError(f"{path}: {len(markers)} markers; a map holds {MOST_MARKERS} at most")
     for key in ("origin", "ahead"):
-        if said.get(key) not in markers:
-            raise KinegraphError(f"{path}: {key} is {said.get(key)!r}; {nearest(str(said.get(key)), markers)}")
-    if said["origin"] == said["ahead"]:
+        if table.get(key) not in markers:
+            raise KinegraphError(f"{path}: {key} is {table.get(key)!r}; {nearest(str(table.get(key)), markers)}")
+    if table["origin"] == table["ahead"]:
         raise KinegraphError(f"{path}: ahead must be another marker than origin")
-    if (up := said.get("up")) not in (None, *WAYS):
+    if (up := table.get("up")) not in (None, *WAYS):
         raise KinegraphError(f"{path}: up is {up!r}; it must be one of {', '.join(WAYS)}")
-    return MarkerTable(said["origin"], said["ahead"], up, markers, _bones(path, said.get("bones") or [], markers))
+    return MarkerTable(table["origin"], table["ahead"], up, markers, _bones(path, table.get("bones") or [], markers))
 
 
 def _ways(path: Path, name: Any, given: Any) -> tuple[tuple[str, ...], ...]:
