@@ -61,7 +61,7 @@ class Neighbours(Operator[NeighboursState]):
 
     Frames are numbered from 0 as they come, bad ones too; an input's stamp counts as before any later frame's, and as after one of the same
     time. Frames less than `band_s` away, counted in frames, are passed over. Distances are Euclidean in float32, exact, with one rule for
-    ties: `docs/method/neighbours.md`. A frame with a bad value is never a neighbour. Weights or a radius that are not finite, or negative, are
+    ties: `docs/method/neighbours.md`. A frame with a bad value is never a neighbour. Weights or radii that are not finite, or negative, are
     passed over.
 
     No delay. Memory: some (4.6 width + 50) bytes per frame of the window and some 1000 frames more, all of it from the start; nothing is
