@@ -73,11 +73,11 @@ def watched(touch: Any, seconds: float = 80.0) -> list[tuple[float, str, str]]:
 
 def test_contacts_that_fall_silent_are_an_alarm_after_two_cycles_and_come_back() -> None:
     touch = np.arange(1.0, 79.0, 1.05)
-    told = watched(touch[(touch < 40.0) | (touch > 47.0)])
+    alarms = watched(touch[(touch < 40.0) | (touch > 47.0)])
     last = touch[touch < 40.0][-1]
-    assert [state for _, state, _ in told] == ["on", "over"]
-    assert told[0][0] == pytest.approx(last + 2 * 1.05, abs=0.05) and told[0][2] == "no contact for 2.1 s"
-    assert 47.0 < told[1][0] < 50.0
+    assert [state for _, state, _ in alarms] == ["on", "over"]
+    assert alarms[0][0] == pytest.approx(last + 2 * 1.05, abs=0.05) and alarms[0][2] == "no contact for 2.1 s"
+    assert 47.0 < alarms[1][0] < 50.0
 
 
 def test_contacts_that_never_come_are_an_alarm() -> None:
@@ -86,17 +86,17 @@ def test_contacts_that_never_come_are_an_alarm() -> None:
 
 def test_every_second_step_missed_is_told_at_the_second_long_cycle() -> None:
     touch = np.arange(1.0, 79.0, 1.05)
-    told = watched(np.concatenate([touch[:30], touch[30::2]]))
-    cadence = [(at, what) for at, state, what in told if "cadence" in what and state == "on"]
+    alarms = watched(np.concatenate([touch[:30], touch[30::2]]))
+    cadence = [(at, what) for at, state, what in alarms if "cadence" in what and state == "on"]
     assert cadence[0][1] == "cadence went from 57 to 29 strides/min"
     assert cadence[0][0] - touch[30] < 5 * 1.05
-    assert ("on", "cadence") not in [(state, what) for _, state, what in told]
+    assert ("on", "cadence") not in [(state, what) for _, state, what in alarms]
 
 
 def test_contacts_found_early_and_late_are_told_and_another_speed_is_not() -> None:
     late = np.cumsum(np.full(60, 1.0)) + np.where(np.arange(60) > 30, np.random.default_rng(3).normal(0, 0.1, 60), 0)
-    told = [(at, state) for at, state, what in watched(late, 62.0) if what.startswith("cycles differ by")]
-    assert [state for _, state in told] == ["on"] and 31 < told[0][0] < 45
+    alarms = [(at, state) for at, state, what in watched(late, 62.0) if what.startswith("cycles differ by")]
+    assert [state for _, state in alarms] == ["on"] and 31 < alarms[0][0] < 45
     speeds = np.cumsum(np.where(np.arange(60) < 20, 1.3, np.where(np.arange(60) < 40, 1.05, 0.9)))
     tremble = np.random.default_rng(4).normal(0, 0.02, 60)
     assert watched(speeds + tremble, float(speeds[-1]) + 1) == []
@@ -105,8 +105,8 @@ def test_contacts_found_early_and_late_are_told_and_another_speed_is_not() -> No
 def test_cycles_that_cover_little_of_the_session_are_told() -> None:
     rng = np.random.default_rng(0)
     touch = np.arange(1.0, 79.0, 1.05)
-    told = watched(touch[rng.random(len(touch)) < 0.5])
-    assert any(state == "on" and what.startswith("cycles cover") for _, state, what in told)
+    alarms = watched(touch[rng.random(len(touch)) < 0.5])
+    assert any(state == "on" and what.startswith("cycles cover") for _, state, what in alarms)
     assert not watched(touch)
 
 

@@ -104,9 +104,9 @@ def test_a_laboratory_is_told_loses_no_good_cycle_and_hands_out_one_report_that_
 
 
 def an_electrode_that_falls_off_is_told_on_the_screen_within_two_seconds(held: Held) -> None:
-    told = held.alarms("electrodes")
-    assert [(who, state) for _, who, state, _ in told] == [("L_TA", "on"), ("L_TA", "over")]
-    assert OFF_S < told[0][0] <= OFF_S + 2 and OFF_S + OFF_FOR_S <= told[1][0] <= OFF_S + OFF_FOR_S + 4
+    reported = held.alarms("electrodes")
+    assert [(who, state) for _, who, state, _ in reported] == [("L_TA", "on"), ("L_TA", "over")]
+    assert OFF_S < reported[0][0] <= OFF_S + 2 and OFF_S + OFF_FOR_S <= reported[1][0] <= OFF_S + OFF_FOR_S + 4
     assert "ALARM L_TA: flat line" in held.shown and "flat line" in held.page
 
 
@@ -141,7 +141,7 @@ def test_a_muscle_that_drifts_at_minute_five_is_on_the_screen_within_ten_cycles_
     assert all("R_SO" in lines[k] for k in alarms) and any("moved from its first 60 cycles" in lines[k] for k in alarms)
     seconds = {int(row["number"]): float(row["touch-down (s)"]) for row in held.rows}
     before = next(int(line.split()[1]) for line in reversed(lines[: alarms[0]]) if line.startswith("cycle "))
-    assert seconds[before] > WEAK_S - 3, "told on the screen before there was anything"
+    assert seconds[before] > WEAK_S - 3, "on the screen before it happened"
 
 
 def test_the_other_leg_is_compared_all_the_time(held: Held) -> None:
@@ -165,12 +165,12 @@ def the_reports_numbers_are_those_of_an_independent_computation(held: Held) -> N
             begin, length, stance = (float(row[k]) for k in ("touch-down (s)", "duration_s", "stance_pct"))
             curve = cycles(seconds, envelope[:, c], np.array([begin, begin + length]))[0]
             standing = np.arange(100) < stance
-            told = [
+            reported = [
                 float(row[f"{name} {k}"])
                 for k in ("peak (uV)", "mean (uV)", "mean_stance (uV)", "mean_swing (uV)", "integrated (uV s)")
             ]
             own = [curve.max(), curve.mean(), curve[standing].mean(), curve[~standing].mean(), curve.mean() * length]
-            assert np.abs(np.array(told) - own).max() < 0.02 * curve.max(), (name, row["number"])
+            assert np.abs(np.array(reported) - own).max() < 0.02 * curve.max(), (name, row["number"])
             if row["stage"] in mine:
                 mine[row["stage"]].append((curve.max(), curve.mean()))
             compared += 1
@@ -213,11 +213,11 @@ def the_reports_curves_by_stage_are_those_of_an_independent_computation(held: He
             ]
             ends = [(float(row["touch-down (s)"]), float(row["duration_s"])) for row in used]
             curves = np.array([cycles(seconds, envelope[:, c], np.array([a, a + d]))[0] for a, d in ends])
-            told = [row for row in held.curves if row["stage"] == stage and row["muscle"] == name]
-            assert len(told) == 100 and {int(row["cycles"]) for row in told} == {len(used)} and len(used) > 20
+            reported = [row for row in held.curves if row["stage"] == stage and row["muscle"] == name]
+            assert len(reported) == 100 and {int(row["cycles"]) for row in reported} == {len(used)} and len(used) > 20
             top = curves.mean(axis=0).max()
             for which, mine in (("mean", curves.mean(axis=0)), ("sd", curves.std(axis=0, ddof=1))):
-                theirs = np.array([float(row[f"{which} (uV)"]) for row in told])
+                theirs = np.array([float(row[f"{which} (uV)"]) for row in reported])
                 assert np.abs(mine - theirs).max() < 0.02 * top, (name, stage, which)
             compared += 1
     assert compared == 12

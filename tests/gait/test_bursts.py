@@ -97,8 +97,8 @@ def test_two_channels_that_are_one_are_told() -> None:
     x[5000:, 3] = x[5000:, 2] + 2 * rng.standard_normal(3000)
     spec = StreamSpec((4,), rate_hz=1000.0, channels=("TA", "SO", "GM", "BF"), units=("uV",))
     _, time, rows = drive(ChannelWatch(), {"in": (spec, stamps(8000), x)}, 70)["out"]
-    told = [(str(r["subject"]), str(r["what"]), round(t / NS)) for t, r in zip(time, rows, strict=True)]
-    assert told == [("TA", "same samples as SO", 5), ("GM", "alike BF", 7)]
+    alarms = [(str(r["subject"]), str(r["what"]), round(t / NS)) for t, r in zip(time, rows, strict=True)]
+    assert alarms == [("TA", "same samples as SO", 5), ("GM", "alike BF", 7)]
     hum = x[:3000] + 300 * np.sin(2 * np.pi * 50 * np.arange(3000) / 1000)[:, None]
     assert not len(drive(ChannelWatch(), {"in": (spec, stamps(3000), hum)}, 70)["out"][2])
 
@@ -124,7 +124,9 @@ def test_another_stage_has_its_own_size_and_leads_swapped_between_stages_are_tol
     curves = shapes[None] * np.exp(0.1 * rng.standard_normal((80, 1, 2))) + rng.standard_normal((80, POINTS, 2))
     curves[15:40] *= 1.6
     given = cycles_of(curves, ("TA", "SO"))
-    assert {str(r["what"])[:9] for r in drive(PatternWatch(), given)["out"][2]} == {"its curve"}, "told without stages"
+    assert {str(r["what"])[:9] for r in drive(PatternWatch(), given)["out"][2]} == {"its curve"}, (
+        "reported without stages"
+    )
     _, time, rows = given["closed"]
     kind = np.dtype([*rows.dtype.descr, ("stage", "<U32"), ("speed_m_s", "<f8")])
     closed = np.zeros(len(rows), kind)
@@ -134,8 +136,8 @@ def test_another_stage_has_its_own_size_and_leads_swapped_between_stages_are_tol
     staged = {**given, "closed": (StreamSpec((), kind, units=("",)), time, closed)}
     assert not len(drive(PatternWatch(), staged)["out"][2])
     staged["cycles"][2][40:] = staged["cycles"][2][40:, :, ::-1]
-    told = drive(PatternWatch(), staged)["out"][2]
-    assert [str(r["what"]) for r in told] == ["its curve is that of SO", "its curve is that of TA"]
+    alarms = drive(PatternWatch(), staged)["out"][2]
+    assert [str(r["what"]) for r in alarms] == ["its curve is that of SO", "its curve is that of TA"]
     staged["cycles"][2][60:, :, 0] *= 2
     sizes = [r for r in drive(PatternWatch(), staged)["out"][2] if "times" in str(r["what"])]
     assert len(sizes) == 1 and "as high as at first" in str(sizes[0]["what"])

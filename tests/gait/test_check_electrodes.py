@@ -105,11 +105,11 @@ def test_a_recording(kinegraph: Command, tmp_path: Path, fault: str, code: int) 
     with Recorder(tmp_path / "r.mcap", {}, RecordingOptions(), wait=True) as recorder:
         number = recorder.add_stream("board.emg", SPEC, "input")
         recorder.write(number, Chunk(stamps(14000), measured(fault), FOREVER), int(stamps(14000)[-1]), 0)
-    told = kinegraph("emg", "check-electrodes", "r.mcap", "--contraction", "5-14")
-    assert told[0] == code and "what to do" in told[1]
+    result = kinegraph("emg", "check-electrodes", "r.mcap", "--contraction", "5-14")
+    assert result[0] == code and "what to do" in result[1]
     electrodes = json.loads(kinegraph("emg", "check-electrodes", "r.mcap", "--contraction", "5-14", "--json")[1])
     assert [e["name"] for e in electrodes["electrodes"] if e["flag"] != "good"] == ["SO"] * code
-    assert not fault or "SO mains hum" in told[2]
+    assert not fault or "SO mains hum" in result[2]
 
 
 @pytest.mark.parametrize(("faults", "code"), [("[]", 0), ("[{kind: hum, muscle: SO}]", 1)])
@@ -119,9 +119,9 @@ def test_a_simulated_session(kinegraph: Command, tmp_path: Path, faults: str, co
         + faults
         + "}\n"
     )
-    told = kinegraph("emg", "check-electrodes", "g.yaml")
-    assert told[0] == code, told
-    assert code == 0 or "1 of 13 electrodes need a look: SO mains hum" in told[2]
+    result = kinegraph("emg", "check-electrodes", "g.yaml")
+    assert result[0] == code, result
+    assert code == 0 or "1 of 13 electrodes need a look: SO mains hum" in result[2]
 
 
 def test_words_that_are_no_times(kinegraph: Command) -> None:

@@ -56,19 +56,19 @@ def test_every_cycle_has_it_and_what_is_not_known_is_nan() -> None:
     closed["stance_pct"][closed["number"] % 2 == 1] = np.nan
     operator.process("closed", Chunk(stamps, closed, FOREVER))
     _, time, curves = case.inputs["cycles"]
-    told = operator.process("cycles", Chunk(time, curves, FOREVER))
-    assert told is not None
-    there = (told.data["number"] % 2 == 0) & np.isfinite(told.data["mean"])
-    assert there.any() and (np.isfinite(told.data["contact_pct"]) == there).all()
+    out = operator.process("cycles", Chunk(time, curves, FOREVER))
+    assert out is not None
+    there = (out.data["number"] % 2 == 0) & np.isfinite(out.data["mean"])
+    assert there.any() and (np.isfinite(out.data["contact_pct"]) == there).all()
 
 
 def test_the_report_marks_a_mean_that_hangs_on_contacts(kinegraph: Command) -> None:
-    """Of the simulated walk, whose vastus is active across the touch-down; the table says it of every muscle."""
+    """In the simulated walk the vastus is active across the touch-down; the table lists every muscle."""
     out = ("--set", "treadmill.realtime=false", "--set", "treadmill.duration_s=20")
     assert kinegraph("run", "treadmill_emg", *out, "--out", "walk", "--view", "none")[0] == 0
     page = Path("walk/report.html").read_text()
-    said = re.search(r"Contacts that come 20 ms earlier or later change (.+?)\.", page)
-    assert said and re.search(r"\bVM by \d\d %", said[1]) and "GM by" not in said[1], said
+    sentence = re.search(r"Contacts that come 20 ms earlier or later change (.+?)\.", page)
+    assert sentence and re.search(r"\bVM by \d\d %", sentence[1]) and "GM by" not in sentence[1], sentence
     assert "Slow changes of a muscle's activity were not watched for: that takes 69 cycles" in html.unescape(page)
     assert "Swapped leads" not in page, "18 cycles are enough for these"
     with Path("walk/report.csv").open() as file:

@@ -47,7 +47,7 @@ def feed(
         else START + np.round(seconds * NS).astype(np.int64)
     )
     cuts = [0, *sorted(lost or {}), len(data)]
-    told: dict[str, list[Chunk]] = {"touchdown": [], "liftoff": []}
+    reported: dict[str, list[Chunk]] = {"touchdown": [], "liftoff": []}
     for begin, end in pairwise(cuts):
         chunk = Chunk(
             time[begin:end], np.ascontiguousarray(data[begin:end]), int(time[end - 1]), (lost or {}).get(begin, 0)
@@ -55,13 +55,13 @@ def feed(
         for name, out in operator.process("in", chunk):
             assert out.until == chunk.until
             assert (out.data["onset"] <= out.time).all()
-            told[name].append(out)
-    return told
+            reported[name].append(out)
+    return reported
 
 
-def onsets(told: dict[str, list[Chunk]], name: str) -> Array:
+def onsets(reported: dict[str, list[Chunk]], name: str) -> Array:
     """Onsets in s after the first sample."""
-    return np.concatenate([(chunk.data["onset"] - START) / NS for chunk in told[name]])
+    return np.concatenate([(chunk.data["onset"] - START) / NS for chunk in reported[name]])
 
 
 def ramps(rate_hz: float = 1000.0) -> tuple[Array, Array, Array]:
@@ -79,30 +79,30 @@ NEWTON = StreamSpec((1,), rate_hz=1000.0, channels=("Fz",), units=("N",))
 def test_force_crosses_twenty_newton_between_samples() -> None:
     force, up, down = ramps()
     operator = ForceContacts(side="right")
-    told = feed(operator, NEWTON, force)
-    np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=1e-6)
-    np.testing.assert_allclose(onsets(told, "liftoff"), down, atol=1e-6)
+    reported = feed(operator, NEWTON, force)
+    np.testing.assert_allclose(onsets(reported, "touchdown"), up, atol=1e-6)
+    np.testing.assert_allclose(onsets(reported, "liftoff"), down, atol=1e-6)
     specs = operator.unopened().open({"in": NEWTON})
     assert specs["touchdown"].meta["side"] == "right"
     assert specs["liftoff"].dtype.names == ("onset",)
-    delays = [(c.time - c.data["onset"]) / NS for chunks in told.values() for c in chunks]
+    delays = [(c.time - c.data["onset"]) / NS for chunks in reported.values() for c in chunks]
     assert np.concatenate(delays).max() <= operator.delay_s
 
 
 @pytest.mark.parametrize(("unit", "factor", "inverted"), [("kN", 0.001, False), ("N", -1.0, True)])
 def test_force_in_other_units_and_signs(unit: str, factor: float, inverted: bool) -> None:
     force, up, down = ramps()
-    told = feed(ForceContacts(inverted=inverted), NEWTON.derive(units=(unit,)), force * factor)
-    np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=1e-6)
-    np.testing.assert_allclose(onsets(told, "liftoff"), down, atol=1e-6)
+    reported = feed(ForceContacts(inverted=inverted), NEWTON.derive(units=(unit,)), force * factor)
+    np.testing.assert_allclose(onsets(reported, "touchdown"), up, atol=1e-6)
+    np.testing.assert_allclose(onsets(reported, "liftoff"), down, atol=1e-6)
 
 
 def test_force_cells_are_added_up() -> None:
     force, up, _ = ramps()
     spec = StreamSpec((3,), rate_hz=1000.0, channels=("heel", "toe", "other"), units=("N",))
     cells = np.column_stack([force * 0.25, force * 0.75, np.full_like(force, 500.0)])
-    told = feed(ForceContacts(channels=("heel", "toe")), spec, cells)
-    np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=1e-6)
+    reported = feed(ForceContacts(channels=("heel", "toe")), spec, cells)
+    np.testing.assert_allclose(onsets(reported, "touchdown"), up, atol=1e-6)
 
 
 def test_a_press_is_told_with_the_sample_that_completes_its_time() -> None:
@@ -118,9 +118,9 @@ def test_force_noise_makes_no_contacts() -> None:
     noisy = force + np.random.default_rng(3).normal(0.0, 6.0, force.shape)
     noisy[200:210] = 300.0
     noisy[900:905] = 0.0
-    told = feed(ForceContacts(), NEWTON, noisy)
-    assert np.abs(onsets(told, "touchdown") - up).max() < 0.005
-    assert len(onsets(told, "liftoff")) == 5
+    reported = feed(ForceContacts(), NEWTON, noisy)
+    assert np.abs(onsets(reported, "touchdown") - up).max() < 0.005
+    assert len(onsets(reported, "liftoff")) == 5
 
 
 def test_what_is_there_at_the_start_or_after_a_gap_is_no_contact() -> None:
@@ -128,20 +128,20 @@ def test_what_is_there_at_the_start_or_after_a_gap_is_no_contact() -> None:
     seconds = np.arange(len(force)) / 1000.0
     begin, end = 800, 2050
     kept = np.r_[0:begin, end : len(force)]
-    told = feed(
+    reported = feed(
         ForceContacts(), NEWTON, force[kept][700:], seconds=seconds[kept][700:], lost={begin - 700: end - begin}
     )
-    np.testing.assert_allclose(onsets(told, "touchdown"), up[2:], atol=1e-6)
-    np.testing.assert_allclose(onsets(told, "liftoff"), down[1:], atol=1e-6)
-    assert [chunk.lost for chunk in told["touchdown"]] == [0, -1]
+    np.testing.assert_allclose(onsets(reported, "touchdown"), up[2:], atol=1e-6)
+    np.testing.assert_allclose(onsets(reported, "liftoff"), down[1:], atol=1e-6)
+    assert [chunk.lost for chunk in reported["touchdown"]] == [0, -1]
 
 
 def test_short_gaps_and_bad_samples_are_bridged() -> None:
     force, up, down = ramps()
     force[np.random.default_rng(4).random(len(force)) < 0.3] = np.nan
-    told = feed(ForceContacts(), NEWTON, force)
-    np.testing.assert_allclose(onsets(told, "touchdown"), up, atol=0.004)
-    np.testing.assert_allclose(onsets(told, "liftoff"), down, atol=0.004)
+    reported = feed(ForceContacts(), NEWTON, force)
+    np.testing.assert_allclose(onsets(reported, "touchdown"), up, atol=0.004)
+    np.testing.assert_allclose(onsets(reported, "liftoff"), down, atol=0.004)
 
 
 @pytest.mark.parametrize("inverted", [False, True])
@@ -152,9 +152,9 @@ def test_switches_of_one_foot(inverted: bool) -> None:
         at = 500 + 1100 * stride
         level[at : at + 350, 0] = level[at + 150 : at + 650, 1] = 3.3
         level[at + 3 : at + 8 : 2, 0] = 0.0
-    told = feed(SwitchContacts(threshold=1.65, inverted=inverted), spec, 3.3 - level if inverted else level)
-    np.testing.assert_allclose(onsets(told, "touchdown"), 0.508 + 1.1 * np.arange(3), atol=0.001)
-    np.testing.assert_allclose(onsets(told, "liftoff"), 1.15 + 1.1 * np.arange(3), atol=0.001)
+    reported = feed(SwitchContacts(threshold=1.65, inverted=inverted), spec, 3.3 - level if inverted else level)
+    np.testing.assert_allclose(onsets(reported, "touchdown"), 0.508 + 1.1 * np.arange(3), atol=0.001)
+    np.testing.assert_allclose(onsets(reported, "liftoff"), 1.15 + 1.1 * np.arange(3), atol=0.001)
 
 
 @pytest.mark.parametrize(
@@ -196,9 +196,9 @@ def foot(rate_hz: float, seed: int = 0) -> tuple[Array, Array, Array]:
 def test_a_foot_is_followed_at_any_rate_and_mounting(rate_hz: float) -> None:
     for seed in range(4):
         samples, forwards, back = foot(rate_hz, seed)
-        told = feed(InertialContacts(), bench.FOOT.derive(rate_hz=rate_hz), samples)
-        np.testing.assert_allclose(onsets(told, "touchdown"), back + 0.026, atol=0.015)
-        np.testing.assert_allclose(onsets(told, "liftoff"), forwards - 0.031, atol=0.015)
+        reported = feed(InertialContacts(), bench.FOOT.derive(rate_hz=rate_hz), samples)
+        np.testing.assert_allclose(onsets(reported, "touchdown"), back + 0.026, atol=0.015)
+        np.testing.assert_allclose(onsets(reported, "liftoff"), forwards - 0.031, atol=0.015)
 
 
 def test_degrees_and_unnamed_units() -> None:
@@ -215,21 +215,21 @@ def test_a_foot_loses_packets() -> None:
     samples, _, back = foot(100.0)
     kept = np.random.default_rng(5).random(len(samples)) > 0.25
     seconds = (np.arange(len(samples)) / 100.0)[kept]
-    told = feed(InertialContacts(), bench.FOOT, samples[kept], seconds=seconds)
-    np.testing.assert_allclose(onsets(told, "touchdown"), back + 0.026, atol=0.03)
+    reported = feed(InertialContacts(), bench.FOOT, samples[kept], seconds=seconds)
+    np.testing.assert_allclose(onsets(reported, "touchdown"), back + 0.026, atol=0.03)
     samples[~kept, 4] = np.nan
     spoilt = feed(InertialContacts(), bench.FOOT, samples)
-    np.testing.assert_array_equal(onsets(spoilt, "touchdown"), onsets(told, "touchdown"))
+    np.testing.assert_array_equal(onsets(spoilt, "touchdown"), onsets(reported, "touchdown"))
 
 
 def test_after_a_long_gap_the_next_step_is_known_at_once() -> None:
     samples, _, back = foot(100.0)
     kept = np.r_[0:460, 760 : len(samples)]
-    told = feed(InertialContacts(), bench.FOOT, samples[kept], seconds=kept / 100.0, lost={460: 300})
+    reported = feed(InertialContacts(), bench.FOOT, samples[kept], seconds=kept / 100.0, lost={460: 300})
     expected = np.r_[back[:3], back[6:]] + 0.026
-    np.testing.assert_allclose(onsets(told, "touchdown"), expected, atol=0.015)
-    assert [chunk.lost for chunk in told["touchdown"]] == [0, -1]
-    assert [chunk.lost for chunk in told["liftoff"]] == [0, -1]
+    np.testing.assert_allclose(onsets(reported, "touchdown"), expected, atol=0.015)
+    assert [chunk.lost for chunk in reported["touchdown"]] == [0, -1]
+    assert [chunk.lost for chunk in reported["liftoff"]] == [0, -1]
 
 
 @pytest.mark.parametrize("belt", [False, True])
@@ -239,12 +239,12 @@ def test_a_walker_on_any_heading(belt: bool, reference: str, heading: float) -> 
     path = walker(1500, 100.0, speed_m_s=1.3, cadence_hz=1.0, belt=belt)
     c, s = np.cos(heading), np.sin(heading)
     path = path @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    told = feed(MarkerContacts(marker="ANK", reference=reference), MARKERS, path)
+    reported = feed(MarkerContacts(marker="ANK", reference=reference), MARKERS, path)
     truth = turning_back(1.3)
-    found = onsets(told, "touchdown")
+    found = onsets(reported, "touchdown")
     settled = 0.0 if reference else 2.5
     np.testing.assert_allclose(found[found > settled], truth[(truth > settled) & (truth < 14.8)], atol=0.03)
-    assert len(onsets(told, "liftoff")) >= 12
+    assert len(onsets(reported, "liftoff")) >= 12
 
 
 def turning_back(speed_m_s: float) -> Array:
@@ -260,11 +260,11 @@ def test_markers_as_columns_in_millimetres() -> None:
     expected = feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, path)
     names = tuple(f"{marker}_{axis}" for marker in ("HIP", "ANK") for axis in "xyz")
     flat = StreamSpec((6,), rate_hz=100.0, channels=names, units=("mm",))
-    told = feed(MarkerContacts(marker="ANK", reference="HIP"), flat, 1000.0 * path.reshape(-1, 6))
-    np.testing.assert_allclose(onsets(told, "touchdown"), onsets(expected, "touchdown"), atol=1e-6)
+    reported = feed(MarkerContacts(marker="ANK", reference="HIP"), flat, 1000.0 * path.reshape(-1, 6))
+    np.testing.assert_allclose(onsets(reported, "touchdown"), onsets(expected, "touchdown"), atol=1e-6)
     turned = path[:, :, [1, 2, 0]]
-    told = feed(MarkerContacts(marker="1", reference="0", up="y"), MARKERS.derive(channels=()), turned)
-    np.testing.assert_allclose(onsets(told, "touchdown"), onsets(expected, "touchdown"), atol=1e-6)
+    reported = feed(MarkerContacts(marker="1", reference="0", up="y"), MARKERS.derive(channels=()), turned)
+    np.testing.assert_allclose(onsets(reported, "touchdown"), onsets(expected, "touchdown"), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -279,10 +279,10 @@ def test_positions_in_another_unit_than_they_say_are_warned_of_once(
 ) -> None:
     path = factor * walker(1200, 100.0, speed_m_s=1.2, cadence_hz=0.9)
     operator = MarkerContacts(marker="ANK", reference=reference)
-    with structlog.testing.capture_logs() as said:
-        told = feed(operator, MARKERS.derive(units=(unit,)), path, lost=dict.fromkeys(range(100, 1200, 100), 0))
-    assert [entry["taken_for"] for entry in said] == [unit] * warned
-    assert warned or len(onsets(told, "touchdown")) > 8
+    with structlog.testing.capture_logs() as warnings:
+        reported = feed(operator, MARKERS.derive(units=(unit,)), path, lost=dict.fromkeys(range(100, 1200, 100), 0))
+    assert [entry["taken_for"] for entry in warnings] == [unit] * warned
+    assert warned or len(onsets(reported, "touchdown")) > 8
 
 
 def test_lost_markers_are_filled_up_to_the_limit() -> None:
@@ -292,8 +292,8 @@ def test_lost_markers_are_filled_up_to_the_limit() -> None:
         holes = path.copy()
         for begin in range(30, 1150, 90):
             holes[begin : begin + 8, 1] = lost
-        told = feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, holes)
-        assert np.abs(onsets(told, "touchdown") - expected).max() < 0.04
+        reported = feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, holes)
+        assert np.abs(onsets(reported, "touchdown") - expected).max() < 0.04
     holes[300:700] = np.nan
     strict = onsets(feed(MarkerContacts(marker="ANK", reference="HIP"), MARKERS, holes), "touchdown")
     assert not ((strict > 3.0) & (strict < 7.0)).any()
@@ -319,15 +319,15 @@ def test_an_accelerometer_alone(rate_hz: float) -> None:
     direction = np.array([0.36, 0.48, -0.8])
     samples = size[:, None] * direction + np.random.default_rng(2).normal(0.0, 0.1, (len(seconds), 3))
     spec = StreamSpec((3,), rate_hz=rate_hz, channels=("x", "y", "z"), units=("g",))
-    told = feed(AccelerationContacts(), spec, samples / 9.80665)
+    reported = feed(AccelerationContacts(), spec, samples / 9.80665)
     strides = 1.2 * np.arange(10)
     tolerance = 0.003 + 1.5 / rate_hz
-    np.testing.assert_allclose(onsets(told, "touchdown"), (strides + 0.91)[: len(strides)], atol=tolerance)
-    np.testing.assert_allclose(onsets(told, "liftoff"), strides + 0.58, atol=tolerance)
+    np.testing.assert_allclose(onsets(reported, "touchdown"), (strides + 0.91)[: len(strides)], atol=tolerance)
+    np.testing.assert_allclose(onsets(reported, "liftoff"), strides + 0.58, atol=tolerance)
 
 
-def cycles_of(told: dict[str, list[Chunk]], contacts: Specs, seconds: float) -> Array:
-    """The gait cycles of a ramp at 1000 Hz whose value is the time in s, by `Cycles`; its `closed` events."""
+def cycles_of(reported: dict[str, list[Chunk]], contacts: Specs, seconds: float) -> Array:
+    """The gait cycles of a ramp at 1000 Hz with the time in s as value, by `Cycles`; its `closed` events."""
     n = round(seconds * 1000)
     spec = StreamSpec((1,), rate_hz=1000.0, channels=("t",), units=("s",))
     inputs = {"signal": spec, **contacts}
@@ -335,7 +335,7 @@ def cycles_of(told: dict[str, list[Chunk]], contacts: Specs, seconds: float) -> 
     operator.open(inputs)
     signal = Chunk(grid(1000.0, n, START), np.arange(n)[:, None] / 1000.0, FOREVER)
     pieces = [*merge.push("signal", signal)]
-    for port, chunks in told.items():
+    for port, chunks in reported.items():
         for k, chunk in enumerate(chunks):
             until = FOREVER if k + 1 == len(chunks) else chunk.until
             pieces += merge.push(port, Chunk(chunk.time, chunk.data, until, chunk.lost))
@@ -346,11 +346,11 @@ def cycles_of(told: dict[str, list[Chunk]], contacts: Specs, seconds: float) -> 
 def test_cycles_begin_at_the_touchdowns() -> None:
     samples, _, _ = foot(100.0)
     operator = InertialContacts(side="left")
-    told = feed(operator, bench.FOOT, samples)
-    closed = cycles_of(told, operator.unopened().open({"in": bench.FOOT}), len(samples) / 100.0)
+    reported = feed(operator, bench.FOOT, samples)
+    closed = cycles_of(reported, operator.unopened().open({"in": bench.FOOT}), len(samples) / 100.0)
     assert len(closed) == 9
     begins = (closed["onset"] - START) / NS
-    np.testing.assert_allclose(begins, onsets(told, "touchdown")[:-1], atol=1e-9)
+    np.testing.assert_allclose(begins, onsets(reported, "touchdown")[:-1], atol=1e-9)
 
 
 def test_the_nodes_in_the_docs_can_be_built() -> None:
@@ -399,8 +399,8 @@ def test_every_cycle_of_a_foot_worn_sensor_knows_its_stance(walks: dict[str, lis
     accepted = unknown = 0
     for person in walks.values():
         for walk in person[:2]:
-            told = feed(InertialContacts(), bench.FOOT, walk.samples, seconds=walk.seconds)
-            closed = cycles_of(told, InertialContacts().open({"in": bench.FOOT}), float(walk.seconds[-1]))
+            reported = feed(InertialContacts(), bench.FOOT, walk.samples, seconds=walk.seconds)
+            closed = cycles_of(reported, InertialContacts().open({"in": bench.FOOT}), float(walk.seconds[-1]))
             stance = closed["stance_pct"][closed["rejected"] == ""]
             accepted, unknown = accepted + len(stance), unknown + int(np.isnan(stance).sum())
     assert accepted > 400
@@ -454,19 +454,19 @@ def test_cuts_and_snapshots_on_a_real_walk(walks: dict[str, list[bench.Walk]]) -
     runs = []
     for size in (1, 7, 100, len(time)):
         operator = InertialContacts()
-        told: list[tuple[str, Chunk]] = []
+        reported: list[tuple[str, Chunk]] = []
         operator.open({"in": bench.FOOT})
         for begin in range(0, len(time), size):
             part = slice(begin, begin + size)
-            told += operator.process("in", Chunk(time[part], walk.samples[part], int(time[part][-1])))
+            reported += operator.process("in", Chunk(time[part], walk.samples[part], int(time[part][-1])))
             if size == 7:
                 snapshot, operator = operator.snapshot(), InertialContacts()
                 operator.open({"in": bench.FOOT})
                 operator.restore(snapshot)
         runs.append(
             {
-                name: b"".join(c.time.tobytes() for port, c in told if port == name)
-                + b"".join(c.data.tobytes() for port, c in told if port == name)
+                name: b"".join(c.time.tobytes() for port, c in reported if port == name)
+                + b"".join(c.data.tobytes() for port, c in reported if port == name)
                 for name in operator.outputs
             }
         )
@@ -484,13 +484,13 @@ def test_overground_markers_agree_with_an_offline_method(recordings: Path) -> No
         sides = {}
         for side in "LR":
             operator = MarkerContacts(marker=f"{side}TOE", reference=f"{side}HIP")
-            with structlog.testing.capture_logs() as said:
-                told = bench.run(operator, spec, np.arange(len(path)) / 100.0, path)
-            assert not said
+            with structlog.testing.capture_logs() as warnings:
+                reported = bench.run(operator, spec, np.arange(len(path)) / 100.0, path)
+            assert not warnings
             truth = bench.zeni(path, names.index(f"{side}TOE"), names.index(f"{side}HIP"))
-            down.add(*told["touchdown"], truth[0], 0.15)
-            up.add(*told["liftoff"], truth[1], 0.15)
-            sides[side] = told["touchdown"][0]
+            down.add(*reported["touchdown"], truth[0], 0.15)
+            up.add(*reported["liftoff"], truth[1], 0.15)
+            sides[side] = reported["touchdown"][0]
             speed = np.abs(np.gradient(path[:, names.index(f"{side}TOE"), 1])) / 10.0
             for index in np.round(sides[side] * 100).astype(int):
                 assert speed[index : index + 60].min() < 0.15, "a foot that has landed stands still soon after, in m/s"
@@ -508,9 +508,9 @@ def test_overground_markers_give_cycles(recordings: Path) -> None:
     for name, path, names in bench.marker_trials(recordings):
         spec = StreamSpec((8, 3), rate_hz=100.0, channels=names, units=("mm",))
         operator = MarkerContacts(marker="RTOE", reference="RHIP", side="right")
-        told = feed(operator, spec, path)
-        closed = cycles_of(told, operator.unopened().open({"in": spec}), len(path) / 100.0)
-        assert len(closed) == len(onsets(told, "touchdown")) - 1 >= 2, name
+        reported = feed(operator, spec, path)
+        closed = cycles_of(reported, operator.unopened().open({"in": spec}), len(path) / 100.0)
+        assert len(closed) == len(onsets(reported, "touchdown")) - 1 >= 2, name
         stance = closed["stance_pct"][closed["rejected"] == ""]
         assert ((stance > 50.0) & (stance < 85.0)).all(), (name, stance)
 
@@ -556,21 +556,21 @@ def test_every_touchdown_on_a_plate_that_drifts_hums_or_hears_the_other(fault: s
     spoil, given, late_ms = PLATE_FAULTS[fault]
     data = np.stack(spoil(right, left), axis=1)
     spec = StreamSpec((data.shape[1],), rate_hz=1000.0, channels=("R", "L")[: data.shape[1]], units=("N",))
-    told = feed(ForceContacts(**given), spec, data)
+    reported = feed(ForceContacts(**given), spec, data)
     score = bench.Score()
-    score.add(onsets(told, "touchdown"), onsets(told, "touchdown"), truth, 0.05)
+    score.add(onsets(reported, "touchdown"), onsets(reported, "touchdown"), truth, 0.05)
     assert (score.missed, score.extra <= 1) == (0, True), score
     assert np.percentile(np.abs(score.errors_s), 95) * 1000 <= late_ms
-    lifted = onsets(told, "liftoff")
+    lifted = onsets(reported, "liftoff")
     assert abs(len(lifted) - len(truth)) <= 2
 
 
 def test_a_plate_that_jumps_in_mid_session_is_found_again_within_three_strides() -> None:
     right, _, truth = _plates()
     jumped = right + np.where(np.arange(len(right)) < 60_000, 0.0, 40.0)
-    told = feed(ForceContacts(), StreamSpec((1,), rate_hz=1000.0, units=("N",)), jumped[:, None])
+    reported = feed(ForceContacts(), StreamSpec((1,), rate_hz=1000.0, units=("N",)), jumped[:, None])
     score = bench.Score()
-    score.add(onsets(told, "touchdown"), onsets(told, "touchdown"), truth, 0.05)
+    score.add(onsets(reported, "touchdown"), onsets(reported, "touchdown"), truth, 0.05)
     assert score.missed <= 3
 
 

@@ -201,17 +201,17 @@ def test_each_leg_and_stage_is_compared_with_the_same_leg_and_stage_of_the_other
     after = staged(tmp_path / "after.mcap", {"L": 1.0, "R": 3.0})
     done = run(compare, before, after, "-o", tmp_path / "out")
     assert done.exit_code == 0, done.output
-    told = done.output.replace("\n", " ")
+    output = done.output.replace("\n", " ")
     for name in ("TA left, slow", "TA left, fast", "SO left, slow"):
-        assert f"{name}: divergence 0.000, means differ nowhere" in told, told
-    assert "TA right, slow: divergence" in told and "TA right, slow: divergence 0.000" not in told
+        assert f"{name}: divergence 0.000, means differ nowhere" in output, output
+    assert "TA right, slow: divergence" in output and "TA right, slow: divergence 0.000" not in output
     with (tmp_path / "out" / "comparison.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["what"] == "difference at 30 %"]
     pairs = {(row["session"], row["other"]) for row in rows}
     assert pairs == {
         (f"before {leg} {stage}", f"after {leg} {stage}") for leg in ("left", "right") for stage in ("slow", "fast")
     }
-    assert "may be the speed" not in told and "different speeds" not in told
+    assert "may be the speed" not in output and "different speeds" not in output
 
 
 def test_the_legs_of_one_recording_are_compared_stage_by_stage(tmp_path):
@@ -222,12 +222,14 @@ def test_the_legs_of_one_recording_are_compared_stage_by_stage(tmp_path):
 
 def test_what_cannot_be_paired_and_speeds_that_are_pooled_are_reported(tmp_path, three):
     legs = staged(tmp_path / "legs.mcap", {"L": 1.0, "R": 1.0})
-    told = run(compare, three[0], legs, "-o", tmp_path / "out").output.replace("\n", " ")
-    assert "no two have the same leg and stage" in told
+    output = run(compare, three[0], legs, "-o", tmp_path / "out").output.replace("\n", " ")
+    assert "no two have the same leg and stage" in output
     mixed = bursts(20, seed=4)
     mixed["closed"][2]["duration_s"][:10] = 2.3
-    told = run(compare, three[0], session(tmp_path / "mixed.mcap", mixed), "-o", tmp_path / "out", "--overwrite").output
-    assert "different speeds are in one mean" in told.replace("\n", " ")
+    output = run(
+        compare, three[0], session(tmp_path / "mixed.mcap", mixed), "-o", tmp_path / "out", "--overwrite"
+    ).output
+    assert "different speeds are in one mean" in output.replace("\n", " ")
 
 
 def test_a_difference_is_shown_only_where_it_exceeds_its_interval_and_what_is_relevant():

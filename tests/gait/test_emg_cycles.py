@@ -163,8 +163,8 @@ def test_a_flat_baseline_has_no_maxima_by_rounding():
     data = np.full((1100, 1), 0.7)
     for onset in touch:
         data[(time / 1e9 > onset + 0.3) & (time / 1e9 < onset + 0.5)] = 1.7
-    told = drive(Cycles(), {"signal": (spec, time, data), "touchdown": contacts(touch)}, 12)
-    assert set(told["maxima"][2]["position_pct"].tolist()) <= set(range(25, 50))
+    out = drive(Cycles(), {"signal": (spec, time, data), "touchdown": contacts(touch)}, 12)
+    assert set(out["maxima"][2]["position_pct"].tolist()) <= set(range(25, 50))
 
 
 def test_reasons_for_rejection():
@@ -266,10 +266,10 @@ def test_what_cannot_be_is_said():
 @pytest.mark.parametrize("order", [("signal", "touchdown", "liftoff"), ("liftoff", "signal", "touchdown")])
 def test_a_lift_off_told_with_the_closing_touch_down_counts_whatever_the_order_of_ports(order):
     spec, time, data, touch = walk()
-    told = contacts(touch, late=0.03)
+    touches = contacts(touch, late=0.03)
     lift = touch[:-1] + 0.6 * np.diff(touch)
-    late = (told[0], told[1][1:], np.round(lift * 1e9).astype(np.int64).view(told[2].dtype))
-    inputs = {"signal": (spec, time, data), "touchdown": told, "liftoff": late}
+    late = (touches[0], touches[1][1:], np.round(lift * 1e9).astype(np.int64).view(touches[2].dtype))
+    inputs = {"signal": (spec, time, data), "touchdown": touches, "liftoff": late}
     for size in (1, 17, None):
         found = drive(Cycles(), {port: inputs[port] for port in order}, size)["closed"][2]
         np.testing.assert_allclose(found["stance_pct"], 60.0, atol=0.01)
@@ -313,13 +313,13 @@ def test_a_cycle_that_is_taken_back_leaves_every_number_as_if_it_had_never_count
     half = curves[2][2:3].copy()
     half[:, :, 0] = np.nan
 
-    def told(*rows):
+    def touches(*rows):
         return (closed[0], np.append(closed[1], [closed[1][-1]] * len(rows)), np.concatenate([closed[2], *rows]))
 
     left = np.delete(curves[2], 2, axis=0)
     for events, samples in (
-        (told(gone), curves),
-        (told(gone, back), (curves[0], np.append(curves[1], curves[1][-1]), np.concatenate([curves[2], half]))),
+        (touches(gone), curves),
+        (touches(gone, back), (curves[0], np.append(curves[1], curves[1][-1]), np.concatenate([curves[2], half]))),
     ):
         both = {"closed": events, "cycles": samples}
         found, statistics = drive(CycleEnsemble(), both), drive(CycleStatistics(), both)["out"][2]

@@ -1,4 +1,4 @@
-"""How far a muscle has moved from its reference: told when it has, not told when it has not, and nothing invented."""
+"""How far a muscle has moved from its reference: reported when it has moved, and only then."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def test_a_muscle_that_moves_is_told_within_ten_cycles_and_nothing_before():
     assert [str(name) for name in alarms["subject"]] == ["TA"] and str(alarms["state"][0]) == "on"
     assert "first 20 cycles" in str(alarms["what"][0]) and alarms["advice"][0]
     rows = made["distance"][2]
-    told = rows[(rows["name"] == "TA") & (rows["moved"] == "first")]["number"].min()
-    assert FROM < told <= FROM + 10
+    reported = rows[(rows["name"] == "TA") & (rows["moved"] == "first")]["number"].min()
+    assert FROM < reported <= FROM + 10
     ta = rows[(rows["name"] == "TA") & (rows["number"] > FROM + 20)]
     assert (ta["from_first"] > ta["limit"]).all()
-    assert times[0] == made["distance"][1][(rows["name"] == "TA") & (rows["number"] == told)][0]
+    assert times[0] == made["distance"][1][(rows["name"] == "TA") & (rows["number"] == reported)][0]
     assert np.isnan(rows["from_stored"]).all() and np.isnan(rows["from_other"]).all(), "nothing is invented"
 
 
@@ -221,8 +221,8 @@ def test_another_stage_has_another_reference_and_is_no_drift():
     rows = drifted(staged(moved(moved(bursts(90), 42), 75), stages))["distance"][2]
     limit = rows["limit"][rows["name"] == "TA"]
     assert np.isfinite(limit[20:40]).all() and np.isnan(limit[41:60]).all() and np.isfinite(limit[61:]).all()
-    told = drifted(staged(moved(moved(bursts(90), 42), 75), stages))["change"]
-    assert [str(name) for name in told[2]["subject"]] == ["TA"] and 75 * NS < told[1][0] <= 86 * NS
+    reported = drifted(staged(moved(moved(bursts(90), 42), 75), stages))["change"]
+    assert [str(name) for name in reported[2]["subject"]] == ["TA"] and 75 * NS < reported[1][0] <= 86 * NS
     assert len(drifted(moved(bursts(90), 42))["change"][2]), "without stages it is drift"
 
 
@@ -236,9 +236,9 @@ def test_a_stage_that_comes_ends_an_alarm_and_an_earlier_cycle_that_is_told_agai
         "closed": (spec, np.insert(time, 70, time[69]), np.insert(closed, 70, closed[55])),
         "cycles": (wide, np.insert(when, 70, when[69]), np.insert(curves, 70, curves[55], axis=0)),
     }
-    plain, told = (drifted({"maxima": kept, **more})["distance"][2] for more in (inputs, again))
+    plain, reported = (drifted({"maxima": kept, **more})["distance"][2] for more in (inputs, again))
     late = plain[plain["number"] > 81]
-    np.testing.assert_array_equal(late["limit"], told[told["number"] > 81]["limit"])
+    np.testing.assert_array_equal(late["limit"], reported[reported["number"] > 81]["limit"])
     assert np.isfinite(late["limit"]).all()
 
 

@@ -1,4 +1,4 @@
-"""The shipped graph on a walk in which a muscle weakens: told on the screen and in the report within ten cycles, and nothing before."""
+"""The shipped graph on a walk in which a muscle weakens: reported on the screen and in the report within ten cycles, and nothing before."""
 
 from __future__ import annotations
 

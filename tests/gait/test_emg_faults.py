@@ -1,4 +1,4 @@
-"""The tables of faults in docs/lab/emg.md: all that the benches make, none that changes a number by more than a tenth in silence."""
+"""The tables of faults in docs/lab/emg.md: all that the benches make; no fault silently changes a number by more than a tenth."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def walk():
 
 
 def bursts(count, centres=CENTRES, heights=None, seed=3, names=("TA", "SO")):
-    """Cycles whose curves are bursts at these places in % (1 % apart from cycle to cycle), a little higher or lower each time."""
+    """Cycles with bursts at these places in % (1 % apart from cycle to cycle), a little higher or lower each time."""
     rng = np.random.default_rng(seed)
     place = np.arange(POINTS)
     curves = np.empty((count, POINTS, len(names)))
@@ -153,13 +153,13 @@ def test_a_cycle_that_is_taken_back_is_in_no_later_mixture():
     spec, time, closed = inputs["closed"]
     back = closed[5:6].copy()
     back["rejected"] = "irregular"
-    told = {**inputs, "closed": (spec, np.insert(time, 8, time[7]), np.insert(closed, 8, back))}
+    revised = {**inputs, "closed": (spec, np.insert(time, 8, time[7]), np.insert(closed, 8, back))}
     never = {port: (s, t, d) for port, (s, t, d) in inputs.items()}
     closed2 = closed.copy()
     closed2["rejected"][5] = "irregular"
     never["closed"] = (spec, time, closed2)
     never["cycles"] = (inputs["cycles"][0], np.delete(time, 5), np.delete(inputs["cycles"][2], 5, axis=0))
-    a, b = (last(drive(PeakMixtures(), given), "SO") for given in (told, never))
+    a, b = (last(drive(PeakMixtures(), given), "SO") for given in (revised, never))
     assert a["cycles"] == b["cycles"] == 11 and a.tobytes() == b.tobytes()
 
 

@@ -84,7 +84,7 @@ def test_mvc_is_the_highest_half_second(walked, tmp_path):
 
 
 def test_rest_is_the_mean_and_the_baseline_noise(walked, tmp_path):
-    told = run("rest", walked, "-o", str(tmp_path / "rest.json"))
+    output = run("rest", walked, "-o", str(tmp_path / "rest.json"))
     found = AmplitudeReference.read(tmp_path / "rest.json")
     spec, time, envelope = enveloped(emg())
     np.testing.assert_allclose(
@@ -92,7 +92,7 @@ def test_rest_is_the_mean_and_the_baseline_noise(walked, tmp_path):
     )
     blocks = emg()[2].reshape(12, 10, 100, 2).std(axis=2).min(axis=1)
     np.testing.assert_allclose(found.noise, blocks.mean(axis=0), rtol=1e-12)
-    assert "rest (µV)" in told and "noise (µV)" in told
+    assert "rest (µV)" in output and "noise (µV)" in output
 
 
 @pytest.mark.parametrize("kind", ["rest", "mvc"])
@@ -100,8 +100,8 @@ def test_muscles_that_do_the_same_throughout_are_no_baseline_noise(tmp_path, kin
     spec = StreamSpec((2,), rate_hz=1000.0, channels=NAMES, units=("uV",))
     noise = np.random.default_rng(0).standard_normal((8000, 2)) * 3.0
     steady = recorded(tmp_path / "steady.mcap", {"emg": (spec, stamps(8000), noise)})
-    told = run(kind, steady, "-o", str(tmp_path / "made.json"))
-    assert "good" in told and "doubtful" not in told
+    output = run(kind, steady, "-o", str(tmp_path / "made.json"))
+    assert "good" in output and "doubtful" not in output
 
 
 def test_task_is_peak_and_mean_of_the_mean_cycle(walked, tmp_path):

@@ -1,4 +1,4 @@
-"""Cycles of very different speed: left out with the reason, in no mixture, and said where sessions are compared."""
+"""Cycles of very different speed: left out with the reason, in no mixture, and reported when sessions are compared."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ def test_sessions_of_another_speed_are_compared_with_a_word(tmp_path):
     slow["closed"][2]["duration_s"] = 2.3
     files = [session(tmp_path / f"{name}.mcap", made) for name, made in (("usual", usual), ("slow", slow))]
     done = run(compare, *files, "-o", tmp_path / "out")
-    said = "slow: cycles of 2.30 s, 2.30 times those of usual; what differs may be the speed"
-    assert done.exit_code == 0 and said in done.output.replace("\n", " ")
-    assert said in (tmp_path / "out" / "comparison.html").read_text()
+    sentence = "slow: cycles of 2.30 s, 2.30 times those of usual; what differs may be the speed"
+    assert done.exit_code == 0 and sentence in done.output.replace("\n", " ")
+    assert sentence in (tmp_path / "out" / "comparison.html").read_text()
     trained = run(emg_model, *files, "-o", tmp_path / "m.npz")
-    assert trained.exit_code == 0 and said in trained.output.replace("\n", " ")
+    assert trained.exit_code == 0 and sentence in trained.output.replace("\n", " ")
     assert "may be the speed" not in run(emg_model, files[0], "-o", tmp_path / "one.npz").output

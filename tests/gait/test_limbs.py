@@ -156,10 +156,10 @@ def test_real_dogs_pace_trot_and_gallop() -> None:
 def test_the_symmetry_index_agrees_with_a_slow_computation(walk: dict[str, Any]) -> None:
     cycles = drive(LimbCycles(SIDES), walk, 50)
     both = {name: cycles[name] for name in ("closed", "cycles")}
-    told = drive(CycleStatistics(), both, 5)["out"]
-    rows = drive(LimbSymmetry(), {"closed": cycles["closed"], "statistics": told}, 4)["out"][2]
+    statistics = drive(CycleStatistics(), both, 5)["out"]
+    rows = drive(LimbSymmetry(), {"closed": cycles["closed"], "statistics": statistics}, 4)["out"][2]
     closed = {int(row["number"]): row for row in cycles["closed"][2] if not row["rejected"]}
-    peaks = {(int(row["number"]), str(row["name"])): float(row["peak"]) for row in told[2]}
+    peaks = {(int(row["number"]), str(row["name"])): float(row["peak"]) for row in statistics[2]}
     indices = []
     for row in rows[(rows["name"] == "TA") & (rows["measure"] == "peak")]:
         mine = closed[int(row["number"])]
@@ -179,15 +179,15 @@ def test_a_cycle_that_is_left_out_leaves_the_symmetry() -> None:
     text = np.dtype([("onset", "<i8"), ("text", "U64")])
     made = walked(20)
     cycles = drive(LimbCycles(SIDES), made, 50)
-    said = (StreamSpec((), text), np.array([15 * NS]), np.array([(0, "leave out 11")], text))
-    given = {"annotations": said, **{name: cycles[name] for name in ("closed", "cycles")}}
+    notes_in = (StreamSpec((), text), np.array([15 * NS]), np.array([(0, "leave out 11")], text))
+    given = {"annotations": notes_in, **{name: cycles[name] for name in ("closed", "cycles")}}
     last = []
-    nothing = (said[0], said[1][:0], said[2][:0])
-    for review, notes in ((CycleReview(), said), (CycleReview(left_out=("11",)), nothing)):
+    nothing = (notes_in[0], notes_in[1][:0], notes_in[2][:0])
+    for review, notes in ((CycleReview(), notes_in), (CycleReview(left_out=("11",)), nothing)):
         reviewed = drive(review, {**given, "annotations": notes}, 5)
         both = {name: reviewed[name] for name in ("closed", "cycles")}
-        told = drive(CycleStatistics(), both, 5)["out"]
-        rows = drive(LimbSymmetry(), {"closed": both["closed"], "statistics": told}, 5)["out"][2]
+        statistics = drive(CycleStatistics(), both, 5)["out"]
+        rows = drive(LimbSymmetry(), {"closed": both["closed"], "statistics": statistics}, 5)["out"][2]
         last.append(rows[rows["measure"] == "duration_s"][-1])
     assert last[0]["pairs"] == last[1]["pairs"] and abs(last[0]["mean_pct"] - last[1]["mean_pct"]) < 1e-9
 
@@ -252,7 +252,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 @pytest.mark.nightly
 def test_the_bilateral_session_from_end_to_end(session: tuple[Path, str]) -> None:
-    """Drifting plates, three stages, one electrode off: told, no good cycle lost, and the table's means are those of its own rows."""
+    """Drifting plates, three stages, one electrode off: reported, no good cycle lost, and the table's means are those of its own rows."""
     folder, shown = session
     assert "ALARM L_SO: flat line" in shown and "stage 2: 1.2 m/s" in shown and "faster" in shown
     with (folder / "live.csv").open(newline="") as file:
@@ -263,8 +263,8 @@ def test_the_bilateral_session_from_end_to_end(session: tuple[Path, str]) -> Non
         starts = true[np.array(sides) == side]
         assert sum(row["limb"] == side for row in rows) >= len(starts) - 2
     page = (folder / "live.html").read_text()
-    for told in ("Limb by limb", "Footfalls", "Symmetry", "Stage by stage", "Robinson", "strides/min", "walk"):
-        assert told in page, told
+    for words in ("Limb by limb", "Footfalls", "Symmetry", "Stage by stage", "Robinson", "strides/min", "walk"):
+        assert words in page, words
     assert "left out of" in page and page.count("TA, left and right") == 1
     fast = [float(row["R_TA peak (uV)"]) for row in rows if row["stage"] == "1.2 m/s" and row["limb"] == "right"]
     cell = f"{np.mean(fast):.1f} ± {np.std(fast, ddof=1):.1f}"

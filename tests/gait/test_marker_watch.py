@@ -59,14 +59,16 @@ def test_a_sound_walk_raises_no_alarm() -> None:
 def test_a_swap_names_both_markers_and_is_over_when_it_is_mended() -> None:
     x = walk()
     x[500:800, [LTOE, RTOE]] = x[500:800, [RTOE, LTOE]]
-    told = alarms(x)
+    reported = alarms(x)
     leaps = [
-        (who, what.partition(" m, ")[2]) for at, who, state, what in told if state == "on" and what.startswith("leapt")
+        (who, what.partition(" m, ")[2])
+        for at, who, state, what in reported
+        if state == "on" and what.startswith("leapt")
     ]
     assert leaps == [("LTOE", "to where RTOE was"), ("RTOE", "to where LTOE was")]
-    bones = [(who, at) for at, who, state, what in told if state == "on" and "as long as" in what]
+    bones = [(who, at) for at, who, state, what in reported if state == "on" and "as long as" in what]
     assert {who for who, _ in bones} == {"LANK-LTOE", "RANK-RTOE"} and max(at for _, at in bones) < 5.5
-    over = {who: at for at, who, state, _ in told if state == "over"}
+    over = {who: at for at, who, state, _ in reported if state == "over"}
     assert set(over) == {"LTOE", "RTOE", "LANK-LTOE", "RANK-RTOE"} and all(10.0 <= at < 10.1 for at in over.values())
 
 

@@ -43,7 +43,7 @@ def test_the_curves_that_a_report_wrote_are_bands(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "is empty"),
         ("muscle,cycle_pct,low [uV]\nTA,0,1\n", "line 1: has muscle, cycle_pct, low; it needs"),
@@ -56,8 +56,8 @@ def test_the_curves_that_a_report_wrote_are_bands(tmp_path: Path) -> None:
         (HEAD, "holds no muscle"),
     ],
 )
-def test_what_is_wrong_in_a_table_is_named_by_line(text: str, told: str, tmp_path: Path) -> None:
-    with pytest.raises(NormError, match=re.escape(told)):
+def test_what_is_wrong_in_a_table_is_named_by_line(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(NormError, match=re.escape(message)):
         read_bands(written(tmp_path, text), 2.0)
 
 
@@ -66,20 +66,20 @@ def test_each_cycle_is_held_against_the_bands(tmp_path: Path) -> None:
     path = written(tmp_path, HEAD + "TA,0,30,60\nGM,0,0,10\n")
     made = drive(NormativeBands(str(path)), inputs)
     rows = made["against"][2]
-    spec, told = inputs["cycles"][0], iter(rows)
+    spec, numbers = inputs["cycles"][0], iter(rows)
     for curve in inputs["cycles"][2]:
         for name, low, high in (("TA", 30, 60), ("GM", 0, 10)):
             x = curve[:, spec.channels.index(name)]
             if np.isnan(x).any():
                 continue
-            row = next(told)
+            row = next(numbers)
             above, below = int((x > high).sum()), int((x < low).sum())
             over = np.maximum(x - high, 0) + np.minimum(x - low, 0)
             furthest = int(np.abs(over).argmax())
             assert (row["name"], row["above_pct"], row["below_pct"]) == (name, above, below)
             assert (row["outside_pct"], row["beyond"]) == (above + below, over[furthest])
             assert row["furthest_pct"] == furthest if over.any() else np.isnan(row["furthest_pct"])
-    assert next(told, None) is None and len(rows) > 25
+    assert next(numbers, None) is None and len(rows) > 25
     assert np.isnan(made["low"][2][:, :, 1]).all() and (made["high"][2][:, :, 0] == 60).all()
     for text, says in (
         (HEAD.replace("% MVC", "uV") + "TA,0,1,2\n", "bands in % MVC"),
@@ -133,5 +133,5 @@ def test_the_screen_and_the_report_show_what_lies_outside(tmp_path: Path) -> Non
     row = re.search(
         r"<td>TA</td>(.*?)</tr>", page[page.index("Beside the normative bands") :].replace('class="num"', ""), re.DOTALL
     )
-    told = [int(n) for n in re.findall(r">\s*(\d+)\s*<", row[1] if row else "")]
-    assert told[:3] == [round(float((mean > 20).sum())), round(float((mean > 20).sum())), 0]
+    numbers = [int(n) for n in re.findall(r">\s*(\d+)\s*<", row[1] if row else "")]
+    assert numbers[:3] == [round(float((mean > 20).sum())), round(float((mean > 20).sum())), 0]

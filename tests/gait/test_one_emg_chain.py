@@ -19,7 +19,7 @@ SLOW = "segment_"
 
 
 def before(graph: Graph, node: Node) -> list[Node]:
-    """The nodes whose output, one after the other, becomes the node's input."""
+    """The chain of nodes that leads to the node's input."""
     (of,) = node.inputs.values()
     origin = graph.nodes[of.node]
     return [origin] if isinstance(origin.part, Source) else [*before(graph, origin), origin]

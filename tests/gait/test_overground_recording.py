@@ -26,7 +26,7 @@ WALKS = [f"{subject}/{trial}" for subject in ("S1_FLOAT", "S2_NO_FLOAT", "S3_FLO
 FAULTY = {"S1_FLOAT": "LTA", "S2_NO_FLOAT": "LMG"}
 """Channels that whoever recorded them knows to be faulty."""
 MISTAKEN = {("S4_NO_FLOAT/T_02", "left", 0)}
-"""Touch-downs that are none: there the foot is drawn back before the first step, and where the walk leads is not known yet."""
+"""False touch-downs: the foot is drawn back before the first step, and the walk's direction is not known yet."""
 
 
 class Walk(NamedTuple):
@@ -92,8 +92,8 @@ def test_every_walk_gives_cycles_of_both_legs(walks: list[Walk]) -> None:
             closed = closed[closed["limb"] == side]
             accepted = closed[closed["rejected"] == ""]
             assert len(accepted) >= 2, (walk.name, side)
-            told = walk.recording.read("statistics")[1]  # a cycle comes again where a bad second ended after it
-            mine = told[np.char.startswith(told["name"], side[0].upper())]
+            statistics = walk.recording.read("statistics")[1]  # a cycle comes again where a bad second ended after it
+            mine = statistics[np.char.startswith(statistics["name"], side[0].upper())]
             judged = walk.recording.read("review.judged")[1]
             used = {
                 int(row["number"]) for row in judged if row["used"]

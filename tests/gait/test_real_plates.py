@@ -40,11 +40,11 @@ def test_a_run_over_eight_plates_agrees_with_the_events_of_the_file() -> None:
     made = found(
         "events_8plates.c3d", {"right": ["Fz2", "Fz7"], "left": ["Fz4", "Fz8"], "none": ["Fz1", "Fz3", "Fz5", "Fz6"]}
     )
-    told = {
+    expected = {
         "touchdown": {"right": [3.68, 4.14], "left": [3.908, 4.364], "none": []},
         "liftoff": {"right": [3.804, 4.264], "left": [4.032, 4.488], "none": []},
     }
-    for port, feet in told.items():
+    for port, feet in expected.items():
         for foot, times in feet.items():
             assert len(made[port][foot]) == len(times), (port, foot)
             assert np.allclose(made[port][foot], times, atol=0.005), (port, foot)
@@ -52,7 +52,7 @@ def test_a_run_over_eight_plates_agrees_with_the_events_of_the_file() -> None:
 
 @pytest.mark.parametrize(("name", "plates"), [("walking5.c3d", ("Fz1", "Fz2")), ("gait_bmc.c3d", ("F1Z", "F2Z"))])
 def test_plates_with_an_offset_and_another_scale_give_one_stance_each(name: str, plates: tuple[str, str]) -> None:
-    """walking5's plates read some 17 N with nobody on them; gait_bmc's highest load is 74 N."""
+    """walking5's plates read some 17 N while empty; gait_bmc's highest load is 74 N."""
     made = found(name, {"first": [plates[0]], "second": [plates[1]]})
     for foot in ("first", "second"):
         down, up = made["touchdown"][foot], made["liftoff"][foot]

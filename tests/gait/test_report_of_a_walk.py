@@ -31,13 +31,13 @@ def heard() -> tuple[Tally, Specs]:
     made = cut(walk)
     both = {port: made[port] for port in ("closed", "cycles")}
     bursts = drive(CycleBursts(), both, 50)
-    said = np.array([(12 * NS, "stumbled"), (14 * NS, "leave out last"), (1, "before the walk")], ANNOTATION)
+    notes = np.array([(12 * NS, "stumbled"), (14 * NS, "leave out last"), (1, "before the walk")], ANNOTATION)
     given = {
         **both,
         "bursts": bursts["session"],
         "each_burst": bursts["bursts"],
         "frequency": drive(MedianFrequency(), {"signal": walk["emg"], "closed": made["closed"]}, 500)["out"],
-        "annotations": (StreamSpec((), ANNOTATION, units=("ns", "")), np.array([12, 16, 17]) * NS, said),
+        "annotations": (StreamSpec((), ANNOTATION, units=("ns", "")), np.array([12, 16, 17]) * NS, notes),
     }
     specs = {port: each[0] for port, each in given.items()}
     tally = nothing_yet(specs)

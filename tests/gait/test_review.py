@@ -1,4 +1,4 @@
-"""What counts: a muscle whose signal was bad in a cycle's seconds is left out and counted so; a person has the last word."""
+"""A muscle with a bad signal during a cycle is left out and counted as such; a person can overrule it."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ MUSCLES = ("TA", "SO")
 TEXT = np.dtype([("onset", "<i8"), ("text", "U64")])
 
 
-def reviewed(seconds: int = 60, fault: Fault | None = None, said: Any = (), **given: Any) -> dict[str, Any]:
-    """A simulated walk through cycles, review, statistics and ensemble; `said`: (second, text)."""
+def reviewed(seconds: int = 60, fault: Fault | None = None, notes: Any = (), **given: Any) -> dict[str, Any]:
+    """A simulated walk through cycles, review, statistics and ensemble; `notes`: (second, text)."""
     signal = Treadmill(muscles=MUSCLES).signal()
     if fault:
         signal.spoil = Faults((fault,), signal).spoil
@@ -43,11 +43,11 @@ def reviewed(seconds: int = 60, fault: Fault | None = None, said: Any = (), **gi
         "liftoff": contacts(touch[:, 1] / 1000),
     }
     cycles = drive(Cycles(), inputs, 12)
-    notes = np.array([(0, text) for _, text in said], TEXT)
-    when = np.array([round(at * NS) for at, _ in said], np.int64)
+    typed = np.array([(0, text) for _, text in notes], TEXT)
+    when = np.array([round(at * NS) for at, _ in notes], np.int64)
     more = {
         "quality": drive(SignalQuality(), {"in": emg}, 100)["out"],
-        "annotations": (StreamSpec((), TEXT), when, notes),
+        "annotations": (StreamSpec((), TEXT), when, typed),
         "closed": cycles["closed"],
         "cycles": cycles["cycles"],
     }
@@ -86,8 +86,14 @@ def test_an_electrode_that_was_off_changes_no_number_of_the_good_cycles() -> Non
 
 
 def test_a_person_leaves_out_and_takes_back_cycles_and_muscles() -> None:
-    said = [(30.0, "leave out 5"), (31.0, "leave out 7 SO"), (32.0, "leave out 9"), (33.0, "use 9"), (34.0, "coffee 3")]
-    found = reviewed(said=said)
+    notes = [
+        (30.0, "leave out 5"),
+        (31.0, "leave out 7 SO"),
+        (32.0, "leave out 9"),
+        (33.0, "use 9"),
+        (34.0, "coffee 3"),
+    ]
+    found = reviewed(notes=notes)
     closed = last_of(found["closed"])
     assert str(closed[5]["rejected"]) == "by hand" and not closed[9]["rejected"] and not closed[7]["rejected"]
     end = found["muscles"][2][-2:]
@@ -100,7 +106,7 @@ def test_a_person_leaves_out_and_takes_back_cycles_and_muscles() -> None:
 
 
 def test_what_is_said_from_the_start_is_what_is_said_afterwards() -> None:
-    afterwards = reviewed(said=[(50.0, "leave out 12"), (51.0, "leave out SO")])
+    afterwards = reviewed(notes=[(50.0, "leave out 12"), (51.0, "leave out SO")])
     given = reviewed(left_out=("12", "SO"))
     np.testing.assert_allclose(given["mean"][2][-1], afterwards["mean"][2][-1], rtol=1e-9, atol=1e-9, equal_nan=True)
     assert given["muscles"][2][-2:]["cycles"].tolist() == afterwards["muscles"][2][-2:]["cycles"].tolist()
@@ -154,8 +160,8 @@ def test_a_window_of_all_muscles_takes_one_place_of_the_latest() -> None:
 
 
 def test_a_cycle_stays_left_out_when_its_seconds_are_long_gone() -> None:
-    """Windows of signal quality are kept as long as the cycles that they are about can be told again."""
-    found = reviewed(seconds=120, fault=Fault("flat", "TA", from_s=10.0, for_s=6.0), said=[(100.0, "leave out SO")])
+    """Windows of signal quality are kept as long as their cycles can be emitted again."""
+    found = reviewed(seconds=120, fault=Fault("flat", "TA", from_s=10.0, for_s=6.0), notes=[(100.0, "leave out SO")])
     judged = found["judged"][found["judged"]["name"] == "TA"]
     bad = {int(row["number"]) for row in judged if row["flag"] == "bad"}
     assert len(bad) >= 5

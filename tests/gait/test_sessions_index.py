@@ -65,7 +65,7 @@ def test_recordings_of_a_folder_are_listed_and_their_clocks_compared(tmp_path: P
     assert rows["a.mcap"]["subject"] == "S01" and "speed_m_s 1.2" in rows["a.mcap"]["facts"]
     assert float(rows["a.mcap"]["length (s)"]) > 10 and "cannot be read" in rows["broken.mcap"]["facts"]
     assert "b.mcap" not in kinegraph("emg", "sessions", tmp_path, "--subject", "S01")
-    told = kinegraph("files", "compare-clocks", tmp_path / "a.mcap", tmp_path / "b.mcap", "--stream", "box.sync")
+    output = kinegraph("files", "compare-clocks", tmp_path / "a.mcap", tmp_path / "b.mcap", "--stream", "box.sync")
     compared = ("files", "compare-clocks", tmp_path / "a.mcap", tmp_path / "b.mcap", "--stream", "box.sync", "--json")
     assert json.loads(kinegraph(*compared))["offset_s"] == pytest.approx(7.5)
-    assert "+ 7.500000 s" in told and "ppm" in told and "residual 0.00 ms" in told
+    assert "+ 7.500000 s" in output and "ppm" in output and "residual 0.00 ms" in output

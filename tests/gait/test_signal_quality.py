@@ -1,4 +1,4 @@
-"""The quality of raw channels: made-up faults of known size, and real recordings whose faulty channels are known."""
+"""The quality of raw channels: made-up faults of known size, and real recordings with known faulty channels."""
 
 from __future__ import annotations
 

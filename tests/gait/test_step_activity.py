@@ -15,7 +15,7 @@ from tests.support.emg_run import drive
 from tests.support.real import needs_data
 
 
-def told(given, size=None, **settings):
+def activities(given, size=None, **settings):
     steps = drive(Steps(), {"in": given})["steps"]
     _, stamps, rows = drive(StepActivity(**settings), {"steps": steps, "signal": given}, size)["activity"]
     return stamps, rows
@@ -29,7 +29,7 @@ def at(rows, given, second):
 
 def test_whoever_stands_walks_and_turns_is_told_to_do_so():
     given = walk("brisk", 101, 60)
-    stamps, rows = told(given)
+    stamps, rows = activities(given)
     assert set(rows["activity"]) == {"walking", "turning", "standing"}
     assert [at(rows, given, second) for second in (5.0, 28.0, 35.0, 58.0)] == ["walking", "standing"] * 2
     assert (stamps >= rows["onset"]).all() and (np.diff(rows["onset"]) > 0).all()
@@ -42,7 +42,7 @@ def test_whoever_stands_walks_and_turns_is_told_to_do_so():
 
 def test_standing_is_told_when_no_step_has_come_for_long_enough():
     given = some_walk(24.0, 100.0, 6)
-    stamps, rows = told(given, still_s=1.0)
+    stamps, rows = activities(given, still_s=1.0)
     steps = drive(Steps(), {"in": given})["steps"]
     for stamp, row in zip(stamps, rows, strict=True):
         if row["activity"] == "standing" and row["before"] != "unknown":
@@ -57,7 +57,7 @@ def test_single_movements_of_somebody_who_stands_are_no_walking():
         data[first : first + 40, 0] += 4 * np.sin(np.linspace(0, 2 * np.pi, 40))
     given = StreamSpec((6,), rate_hz=100.0, channels=CHANNELS, units=UNITS), grid(100.0, n), data
     assert len(drive(Steps(), {"in": given})["steps"][2]) >= 2, "they are taken for steps"
-    assert told(given)[1]["activity"].tolist() == ["standing"]
+    assert activities(given)[1]["activity"].tolist() == ["standing"]
 
 
 @pytest.mark.parametrize("how", ["missing", "nan"])
@@ -71,7 +71,7 @@ def test_where_nothing_was_measured_it_is_not_known_what_somebody_does(how):
         keep[hole] = False
         time, data = time[keep], data[keep]
     given = spec, time, data
-    stamps, rows = told(given)
+    stamps, rows = activities(given)
     (unknown,) = np.flatnonzero(rows["activity"] == "unknown")
     assert rows["onset"][unknown] == grid(100.0, 1000)[-1] and rows["before"][unknown] == "walking"
     assert stamps[unknown] == grid(100.0, 1301)[-1]
@@ -82,7 +82,7 @@ def test_where_nothing_was_measured_it_is_not_known_what_somebody_does(how):
 @pytest.mark.parametrize("size", [1, 7, 300])
 def test_the_cut_of_the_signal_changes_nothing(size):
     given = walk("shuffling", 160, 40)
-    whole, cut = told(given), told(given, size)
+    whole, cut = activities(given), activities(given, size)
     assert (whole[0] == cut[0]).all() and whole[1].tobytes() == cut[1].tobytes()
 
 

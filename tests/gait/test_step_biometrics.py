@@ -1,4 +1,4 @@
-"""The shipped graph of steps on simulated walkers: steps where they are, the manner told, and the model that comes with it."""
+"""The shipped graph of steps on simulated walkers: steps where they are, the manner recognised, and the model that is shipped with it."""
 
 from __future__ import annotations
 

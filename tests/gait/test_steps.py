@@ -1,4 +1,4 @@
-"""Steps of one inertial sensor: found where they are, described alike live and at once, and told by a forest with scikit-learn's bits."""
+"""Steps of one inertial sensor: found in place, described alike live and at once, and classified by a forest with scikit-learn's bits."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def found(given, operator=None, size=None):
     return drive(operator or Steps(), {"in": given}, size)["steps"]
 
 
-def people(count=8, walks=2, per_walk=8, seed=1, told=True):
-    """Steps of made-up people of two kinds; `told`: the kind shows in a feature, beside what is each person's own."""
+def people(count=8, walks=2, per_walk=8, seed=1, visible=True):
+    """Steps of made-up people of two kinds; `visible`: the kind shows in a feature, beside what is each person's own."""
     rng = np.random.default_rng(seed)
     rows, labels, persons, where = [], [], [], []
     for k in range(count):
         kind, own = ("a", "b")[k % 2], rng.normal(0, 1, 50)
         for walk in range(walks):
             x = own + rng.normal(0, 0.3, (per_walk, 50))
-            x[:, 26:45] += 6.0 * (kind == "b") * told
+            x[:, 26:45] += 6.0 * (kind == "b") * visible
             rows.append(x)
             labels += [kind] * per_walk
             persons += [f"p{k}"] * per_walk
@@ -62,7 +62,7 @@ def test_steps_are_found_where_they_are_and_rest_and_turns_are_told_apart():
     assert 24 <= len(rows) <= 34 and (rows["kind"] == "turn").sum() >= 2
     assert rows["kind"][0] == "first" and (np.diff(rows["end"]) > 0).all()
     resting = (rows["end"] > 9.9 * NS + time[0]) & (rows["end"] < 11.3 * NS + time[0])
-    assert not resting.any(), "nobody steps while they stand"
+    assert not resting.any(), "a step while standing"
     assert (stamps >= rows["end"]).all() and np.median(stamps - rows["end"]) < 0.2 * NS
 
 
@@ -162,7 +162,7 @@ def test_the_forest_has_scikit_learns_bits():
 
 def test_what_shows_the_kind_is_better_than_guessing_and_what_shows_the_person_is_not():
     """With a random split both look good: that measures who walks."""
-    kind, person = (trust(people(12, told=t), "both", 10) for t in (True, False))
+    kind, person = (trust(people(12, visible=t), "both", 10) for t in (True, False))
     assert kind.random > 0.9 and kind.subjects > 0.9 and kind.verdict == "better than guessing" and kind.voted == 12
     assert person.random > 0.9 and person.subjects < 0.75 and person.verdict == "not better than guessing"
     assert kind.low < 1.0 <= kind.high + 1e-9 and {c.name for c in kind.per_class} == {"a", "b"}
@@ -336,7 +336,7 @@ def test_enrolling_people_says_how_often_strangers_are_accepted_and_live_they_ar
     table.write_text("recording,person\n" + "".join(f"r{k},p{k // 2}\n" for k in range(8)))
     done = train(table, files, "-o", tmp_path / "p.npz", "--trees", "10", "--target", "person")
     assert done.exit_code == 0, done.output
-    assert "strangers taken for somebody" in done.output and "taken for nobody or another" in done.output
+    assert "strangers taken for somebody" in done.output and "taken for a stranger or another" in done.output
     model = StepModel.read(tmp_path / "p.npz")
     assert model.classes == ["p0", "p1", "p2", "p3"]
     assert {"false_accept", "false_reject"} == set(model.header["open_set"])
@@ -369,5 +369,5 @@ def test_a_model_that_only_guesses_says_so_and_is_uncertain_at_every_step(tmp_pa
     ("subjects", "chance", "better"), [(0.6, 0.05, True), (0.5, 0.01, False), (0.4, 0.01, False), (0.6, 0.06, False)]
 )
 def test_as_good_as_the_largest_class_is_not_better_than_guessing(subjects: float, chance: float, better: bool) -> None:
-    told = Trust("all", 0.9, subjects, 0.5, 3, 5, 0.2, 0.9, chance, [], np.zeros((0, 2)))
-    assert (told.verdict == "better than guessing") == better
+    trusted = Trust("all", 0.9, subjects, 0.5, 3, 5, 0.2, 0.9, chance, [], np.zeros((0, 2)))
+    assert (trusted.verdict == "better than guessing") == better

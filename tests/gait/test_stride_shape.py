@@ -87,7 +87,7 @@ def test_units_are_converted_and_must_be_known() -> None:
 
 
 def test_what_is_not_known_is_nan() -> None:
-    """A long gap spoils its stride, a short one none; a stride without its lift-off has a length only; a late touch-down spoils two."""
+    """A long gap spoils its stride, a short one does not; a stride without its lift-off has a length only; a late touch-down spoils two."""
     given = hoof()
     place = given["in"][2]
     place[440:460] = np.nan

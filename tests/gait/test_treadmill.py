@@ -23,7 +23,7 @@ WALK = Treadmill(realtime=False, start="2026-01-01T00:00:00Z", duration_s=12.0, 
 
 @dataclass
 class Recorder:
-    """A feed that keeps everything, and whose clock goes on only while its source waits."""
+    """A feed that keeps everything, with a clock that runs only while its source waits."""
 
     clock: int = START
     chunks: dict[str, list[Chunk]] = field(default_factory=lambda: {name: [] for name in Treadmill.outputs})
@@ -221,9 +221,9 @@ def test_lost_packets_are_gaps_that_are_counted() -> None:
     feed = walked(replace(WALK, chunk_ms=13.0, faults=(Fault("lost", from_s=1.0, for_s=8.0, share=0.3),)))
     time = feed.all("emg")[0]
     at = (time - START) // 1_000_000
-    told = {int(c.time[0] - START) // 1_000_000: c.lost for c in feed.chunks["emg"] if c.lost}
+    lost = {int(c.time[0] - START) // 1_000_000: c.lost for c in feed.chunks["emg"] if c.lost}
     gaps = {int(b): int(b - a - 1) for a, b in pairwise(at) if b != a + 1}
-    assert told == gaps and sum(gaps.values()) == feed.problems["lost sample"] == 12_000 - len(time)
+    assert lost == gaps and sum(gaps.values()) == feed.problems["lost sample"] == 12_000 - len(time)
     assert 0.2 * 8000 < sum(gaps.values()) < 0.4 * 8000 and all(gap % 10 == 0 for gap in gaps.values())
     assert np.array_equal(feed.all("emg")[1], walked(WALK).all("emg")[1][at])
     assert len(feed.all("force")[0]) == 12_000
@@ -252,7 +252,7 @@ def test_an_endless_walk_stops_when_told(faults: tuple[Fault, ...]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"muscles": ["SO", "GN"]}, "valid are 'BF', 'FL'"),
         ({"muscles": ["SO", "SO"]}, "each named once"),
@@ -263,8 +263,8 @@ def test_an_endless_walk_stops_when_told(faults: tuple[Fault, ...]) -> None:
         ({"faults": [{"kind": "hum", "size": 3}]}, "faults"),
     ],
 )
-def test_what_cannot_be_is_refused(given: dict[str, object], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_what_cannot_be_is_refused(given: dict[str, object], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         build(Treadmill, given).specs()
 
 

@@ -1,4 +1,4 @@
-"""The demo's graph from end to end: a simulated walk whose truth is known, its report, and the same report from a replay."""
+"""The demo's graph from end to end: a simulated walk with known truth, its report, and the same report from a replay."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_every_cycle_is_where_it_truly_was(session: tuple[Path, str]) -> None:
 
 def test_the_page_names_what_went_wrong(session: tuple[Path, str]) -> None:
     page = (session[0] / "recording" / "report.html").read_text()
-    for told in (
+    for words in (
         "Recording <b>recording</b>",
         "SO bad (flat line",
         "gap in the signal or the contacts",
@@ -76,11 +76,11 @@ def test_the_page_names_what_went_wrong(session: tuple[Path, str]) -> None:
         "300 (1.50 %)",
         "not normalised",
     ):
-        assert told in page, told
+        assert words in page, words
 
 
 def test_a_replay_names_whose_recording_it_is(tmp_path: Path) -> None:
-    """Not whom the graph names; the command line has the last word. A date that nobody gave is not made up."""
+    """The command line overrules the graph's names. A missing date is not made up."""
     rows = "".join(f"{i / 1000:.3f},{i % 7}\n" for i in range(4000))
     (tmp_path / "walk.csv").write_text(f"time,TA [uV]\n{rows}")
     (tmp_path / "steps.csv").write_text("heel_s\n0.5\n1.5\n2.5\n")
@@ -107,15 +107,15 @@ def test_a_replay_names_whose_recording_it_is(tmp_path: Path) -> None:
     ):
         page = tmp_path / f"{len(words)}{len(settings)}{name}.html"
         say = ["--speak", "report", "--set", f"report.path={page}", *settings]
-        told = kinegraph("replay", CONFIG, tmp_path / f"{name}.mcap", *say).stdout
+        output = kinegraph("replay", CONFIG, tmp_path / f"{name}.mcap", *say).stdout
         assert (
             words in page.read_text()
             and "Subject <b>simulated" not in page.read_text()
             and "1970" not in page.read_text().partition("<h2>")[0]
         )
         assert ("Speed <b>1.4 m/s</b>" in page.read_text()) == (name == "named")
-        assert ("holds no facts about its session" in told) == (name == "nameless")
-        assert ("side right (--set session.NAME=VALUE overrides one)" in told) == (name == "named")
+        assert ("holds no facts about its session" in output) == (name == "nameless")
+        assert ("side right (--set session.NAME=VALUE overrides one)" in output) == (name == "named")
         assert f"Recording <b>{name}.mcap (from walk.csv, steps.csv)</b>" in page.read_text()
         assert f"{name}.mcap, in place of devices.people.treadmill.Treadmill" in page.read_text()
         assert "cadence_per_min: 57" not in page.read_text()

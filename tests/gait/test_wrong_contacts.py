@@ -1,4 +1,4 @@
-"""Cycles whose contacts are known to be wrong are in no number, from where the fault began; a person takes them back in."""
+"""Cycles with contacts known to be wrong enter no number, from the fault's start; a person can take them back."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def watched(walk: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def reviewed(watched: dict[str, Any], said: Any = (), **given: Any) -> dict[str, Any]:
-    """The cycles as the shipped graphs review them; `said`: (second, text)."""
-    notes = np.array([(0, text) for _, text in said], TEXT)
-    when = np.array([round(at * NS) for at, _ in said], np.int64)
-    return drive(CycleReview(**given), {"annotations": (StreamSpec((), TEXT), when, notes), **watched}, 5)
+def reviewed(watched: dict[str, Any], notes: Any = (), **given: Any) -> dict[str, Any]:
+    """The cycles as the shipped graphs review them; `notes`: (second, text)."""
+    typed = np.array([(0, text) for _, text in notes], TEXT)
+    when = np.array([round(at * NS) for at, _ in notes], np.int64)
+    return drive(CycleReview(**given), {"annotations": (StreamSpec((), TEXT), when, typed), **watched}, 5)
 
 
 def final(found: dict[str, Any]) -> dict[int, Any]:
@@ -82,7 +82,7 @@ def test_swapped_belts_change_no_number_of_the_session(sound: dict[str, Any], sp
     rejected = [row for row in final(found).values() if row["rejected"] == "contacts"]
     assert 2 * 12 <= len(rejected) <= 2 * 18
     for row in rejected:
-        assert row["end"] > (FROM_S - 1.5) * NS and row["onset"] < (TO_S + 1.5) * NS, "none but these"
+        assert row["end"] > (FROM_S - 1.5) * NS and row["onset"] < (TO_S + 1.5) * NS, "only these"
     inside = [row for row in final(found).values() if row["onset"] > FROM_S * NS and row["end"] < TO_S * NS]
     assert len(inside) > 20 and all(row["rejected"] for row in inside)
 

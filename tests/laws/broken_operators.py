@@ -1,4 +1,4 @@
-"""Operators that break one law each, so that it can be seen that the trial catches them. `Sound` breaks none."""
+"""Operators that break one law each, to show that the trial catches them. `Sound` keeps all."""
 
 from __future__ import annotations
 
@@ -418,7 +418,7 @@ class CompilesLate(Smooth):
 class Excused(HidesNaN):
     """Breaks a rule, and says so."""
 
-    exemptions: ClassVar[dict[str, str]] = {"nan": "holds the last value where there is none"}
+    exemptions: ClassVar[dict[str, str]] = {"nan": "holds the last value in place of a missing one"}
 
 
 @dataclass(frozen=True, slots=True)

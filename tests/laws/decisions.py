@@ -69,7 +69,7 @@ def measured(graph: Graph) -> Late:
         open_ = session._open
 
         def tried() -> None:
-            """The operators were tried on made-up samples, whose events do not count; what comes now does."""
+            """The events of the trial on made-up samples do not count; later ones do."""
             names.update({id(stage.operator): name for name, stage in session.pipeline.stages.items()})
             open_()
 

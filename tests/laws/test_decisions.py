@@ -106,7 +106,7 @@ STEPS = 120
 PROMISE_NOTHING = {
     ("CycleReview", "closed"): "an annotation changes a cycle long after it was over",
     ("CycleReview", "judged"): "an annotation changes a cycle long after it was over",
-    ("MixtureDrift", "change"): "between its windows cycles may be rejected, or nobody walk",
+    ("MixtureDrift", "change"): "between its windows cycles may be rejected or missing",
     ("NightMap", "out"): "it waits until the night is known to be over",
     ("SleepStatistics", "out"): "it waits until it is known when somebody was in bed",
     ("StepActivity", "activity"): "a turn is reported once the body has turned by enough",

@@ -62,14 +62,14 @@ class SmoothState:
 
 @dataclass(frozen=True, slots=True)
 class Smooth(Operator[SmoothState]):
-    """Exponential smoothing of one channel, whose centre of weight lies (1 - share) / share samples back; `told` makes up for it."""
+    """Exponential smoothing of one channel, with its centre of weight (1 - share) / share samples back; `declared` compensates for it."""
 
     share: float = param(0.1)
-    told: bool = param(False)
+    declared: bool = param(False)
 
     @property
     def late_ns(self) -> int:
-        return round((1 - self.share) / self.share * 10**7) if self.told else 0
+        return round((1 - self.share) / self.share * 10**7) if self.declared else 0
 
     def open(self, specs: Specs) -> Specs:
         self.set_state(SmoothState(0.0), delay_s=self.late_ns / 1e9)
@@ -93,7 +93,7 @@ class Smooth(Operator[SmoothState]):
 def test_a_delay_that_is_not_declared_gets_a_hint() -> None:
     case = Smooth.cases()[0]
     assert lags(Conformance(case)) == {"out": pytest.approx(0.09, abs=0.002)}
-    assert lags(Conformance(replace(case, operator=Smooth(told=True)))) == {}
+    assert lags(Conformance(replace(case, operator=Smooth(declared=True)))) == {}
 
 
 @pytest.mark.parametrize("cls", [MovingMean, Lowpass, Highpass, Notch, Rectify, Envelope])

@@ -141,7 +141,7 @@ class Reference:
         self.counted: dict[int, int] = {}
         self.spans: dict[int, Event] = {}
         self.gestures = self.back_from = self.start = self.pieces = self.count = 0
-        self.begun = self.told = False
+        self.begun = self.reported = False
         self.paths: Paths | None = None
         self.pending: tuple[int, int] | None = None
         self.back_to = -1
@@ -187,7 +187,7 @@ class Reference:
         return not self.frames or self.blind > self.p["rest"]
 
     def tell(self, kind: str, *what: int) -> None:
-        """An event; frames that were worked through are told by what number they came with."""
+        """An event; processed frames are identified by their arrival number."""
         spans = {"rest": 0, "begin": 1, "activity": 2, "primitive": 2, "bout": 2, "provisional": 2}.get(kind, 0)
         numbers = [self.frames[v] for v in what[:spans]] + [int(v) for v in what[spans:]]
         self.events.append((kind, self.frame, *numbers))
@@ -320,13 +320,13 @@ class Reference:
             self.last = t
         if self.open:
             due = t - self.last >= p["quiet"] or t >= self.opened + p["settle"]
-            if due and (not self.begun or not (self.told or self.returned or (t - self.opened) % p["settle"])):
+            if due and (not self.begun or not (self.reported or self.returned or (t - self.opened) % p["settle"])):
                 self.begin()
             if self.begun:
                 while self.done < t:
                     self.done += 1
                     self.explore(self.done)
-                if not self.told and t >= self.opened + p["firm"]:
+                if not self.reported and t >= self.opened + p["firm"]:
                     if self.counts():
                         self.tell_start()
                     elif t >= self.start + 2 * p["max_lag"]:
@@ -384,7 +384,7 @@ class Reference:
         self.band = min(p["max_band"], max(p["min_band"], typical + typical // 2))
 
     def open_up(self, t: int) -> None:
-        self.open, self.opened, self.begun, self.told, self.paths = True, t, False, False, None
+        self.open, self.opened, self.begun, self.reported, self.paths = True, t, False, False, None
         first = max(self.seed, t - self.p["max_lag"] + 1)
         marked = [i for i in range(first, t + 1) if self.flags[i]]
         self.last, first = marked[-1], marked[0]
@@ -415,7 +415,7 @@ class Reference:
     # What is believed
 
     def believe(self, activity: int, count: int) -> None:
-        """So many repetitions have come, and none where they were believed until now, but for excursions before."""
+        """So many repetitions have come, and no other believed ones remain, except excursions before."""
         if self.believed_of != activity and self.believed and not (self.gestures and self.believed_of < activity):
             self.tell_count(self.believed_of, 0)
         self.tell_count(activity, count)
@@ -463,11 +463,11 @@ class Reference:
         self.gestures, self.back_to = 0, -1
 
     def watch_returns(self, t: int) -> None:
-        """Excursions up to frame `t`, of which nothing has been said."""
+        """Excursions up to frame `t`, that were not reported yet."""
         if self.ahead or (t % max(1, self.p["quiet"] // 3) and self.back_to >= 0):
             return
         q, first, last = self.paths, self.untold, t
-        if self.open and self.told:
+        if self.open and self.reported:
             first = max(self.pieces, self.pending[1] + 1 if self.pending else 0)
             if q and q.best:
                 last = q.best[1] - 1
@@ -480,7 +480,7 @@ class Reference:
         for onset, end in self.excursions(first, last, self.radius):
             if (onset + end) // 2 <= self.back_to:
                 continue
-            if self.open and self.told:
+            if self.open and self.reported:
                 more = int(q is not None and q.best is not None and not self.replaces(q))
                 if q is None and self.believed_of == self.activity:
                     before = self.believed - self.count
@@ -550,7 +550,7 @@ class Reference:
         """While no cycle is found, what came back when the activity was noticed; later, what repeats in place of its cycle."""
         q = self.paths
         if q is None:
-            if not self.told:
+            if not self.reported:
                 self.foresee(self.noticed, t)
         elif self.count and q.best is None:
             first = max(self.latest + 1, self.origin)
@@ -590,7 +590,7 @@ class Reference:
             self.start = self.border(self.held, self.start)
             self.held.last, self.untold = self.start - 1, self.start
         self.let_go()
-        self.told, self.pieces = True, self.start
+        self.reported, self.pieces = True, self.start
         self.forget_returns()
         if self.start > self.untold:
             self.stretch(self.start - 1, 0)
@@ -617,7 +617,7 @@ class Reference:
     # Where activities meet
 
     def hold(self, last: int, forced: int) -> None:
-        """The open activity has ended: it is told when the next one's start is decided, or when none can follow any more."""
+        """The open activity has ended: it is reported when the next one's start is decided, or when no other can follow."""
         later = self.cycles - 1
         made = self.cycles + self.ventured
         certain = max(0.0, 1 - sum(self.prices) / (later * CHANCE * self.radius)) if later > 0 else 0.0
@@ -708,15 +708,15 @@ class Reference:
         )
 
     def finish(self, forced: bool) -> None:
-        if self.paths is None and not self.told:
+        if self.paths is None and not self.reported:
             length = self.cycle_length(self.done, last_chance=True)
             if length:
                 self.take_up(self.done, length)
-        if not self.told and not self.counts():
+        if not self.reported and not self.counts():
             self.open, self.when = False, 0
             self.give_up()
             return
-        if not self.told:
+        if not self.reported:
             self.tell_start()
         last = self.last
         if self.paths and self.paths.best and self.paths.best[1] <= last:
@@ -767,7 +767,7 @@ class Reference:
         length = self.cycle_length(i)
         if length:
             self.take_up(i, length)
-        elif self.told and self.count:
+        elif self.reported and self.count:
             self.expect(i)
 
     def take_up(self, i: int, length: int) -> None:
@@ -775,25 +775,25 @@ class Reference:
         slot, met = self.recognise(origin, i, length)
         new = slot < 0
         if new:
-            first = self.lead_in(origin if self.told else self.start, length)
-            if not self.told:
+            first = self.lead_in(origin if self.reported else self.start, length)
+            if not self.reported:
                 self.start = first
                 origin = max(first, i + 1 - 2 * length)
             slot = self.keep(self.in_phase(first, origin, i + 1 - length), length)
         found = self.use(slot)
-        if self.told and self.cycles and found.number != self.cluster:
+        if self.reported and self.cycles and found.number != self.cluster:
             self.close_bout()
             if origin - self.pieces > self.p["firm"]:
                 self.piece(origin - 1, False)
             self.conclude(self.cycles + self.ventured)
             self.hold(self.pieces - 1, 0)
             self.seed = self.untold = self.pieces
-            self.told = False
+            self.reported = False
             self.start = max(origin, self.seed)
             self.forget()
         self.slot = slot
         self.forget_returns()
-        if self.told:
+        if self.reported:
             origin = self.look_back(i, origin, self.pieces)
         else:
             origin = self.start = self.look_back(i, self.start, self.untold)
@@ -841,19 +841,19 @@ class Reference:
         return 0, returned
 
     def lead_in(self, start: int, length: int) -> int:
-        """The first of the frames before `start` that come back a cycle later, between 2/3 and 3/2 of one; once told: if from a rest."""
+        """The first frame before `start` that comes back a cycle later, between 2/3 and 3/2 of it; once reported, if from a rest."""
         p, first, i = self.p, start, start - 1
         least = max(self.seed, self.opened - 2 * p["max_lag"])
-        if self.told:
+        if self.reported:
             least = max(least, self.pieces, start - p["max_lag"])
         while i >= least and first - i <= max(p["quiet"], length // HOLE):
-            if self.told and i in self.rested:
+            if self.reported and i in self.rested:
                 return first
             lags = range(max(1, 2 * length // 3), min(p["max_lag"], 3 * length // 2, self.now - i) + 1)
             if self.good[i] and not self.at_rest(i) and any(self.apart(i + k, i) <= self.radius for k in lags):
                 first = i
             i -= 1
-        return start if self.told else first
+        return start if self.reported else first
 
     def in_phase(self, start: int, first: int, last: int) -> int:
         """Where the frames first..last are at the phase of `start`."""
@@ -974,8 +974,8 @@ class Reference:
         self.kinds[kind] += 1
         side = self.leader(first, half, last + 1) if half >= 0 else 0
         steps = [(first, half - 1, side), (half, last, 3 - side)] if side else [(first, last, 0)]
-        for a, b, whose in steps:
-            self.tell("primitive", a, b, self.activity, self.cycles + self.ventured, self.cluster, 0, whose)
+        for a, b, moved_side in steps:
+            self.tell("primitive", a, b, self.activity, self.cycles + self.ventured, self.cluster, 0, moved_side)
         other = self.alike(first, last)
         if other >= 0:
             here, there = self.exemplars[self.slot], self.exemplars[other]
@@ -994,15 +994,15 @@ class Reference:
 
     # Excursions
 
-    def tell_rest_of(self, last: int, activity: int, told: int, forced: bool | int, radius: float) -> int:
-        """Report the excursions up to frame `last`, where no cycle is, and the parts that are none; how many excursions there are."""
+    def tell_rest_of(self, last: int, activity: int, before: int, forced: bool | int, radius: float) -> int:
+        """Report the excursions up to frame `last`, outside cycles, and the parts between them; returns the number of excursions."""
         made = self.excursions(self.pieces, last, radius) if self.pieces <= last else []
         for k, (onset, end) in enumerate(made):
             onset = max(onset, self.pieces)
             if onset > self.pieces:
                 self.tell("primitive", self.pieces, onset - 1, activity, 0, -1, 0, 0)
-            self.tell_span(onset, end, activity, told + k + 1)
-            self.tell("primitive", onset, end, activity, told + k + 1, -1, 0, 0)
+            self.tell_span(onset, end, activity, before + k + 1)
+            self.tell("primitive", onset, end, activity, before + k + 1, -1, 0, 0)
             self.pieces = end + 1
         if self.pieces <= last:
             self.tell("primitive", self.pieces, last, activity, 0, -1, forced, 0)

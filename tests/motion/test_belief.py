@@ -56,7 +56,7 @@ def withdrawn(events: dict[str, Any]) -> int:
 
 
 def assert_corrected(events: dict[str, Any]) -> None:
-    """What was said last of every activity and repetition is what is final."""
+    """The last provisional report of every activity and repetition equals the final one."""
     last = {int(event["activity"]): int(event["count"]) for event in events["count"]}
     made = {int(event["activity"]): int(event["repetitions"]) for event in events["activity"]}
     assert {number: count for number, count in last.items() if count} == {n: c for n, c in made.items() if c}

@@ -66,8 +66,8 @@ def test_a_blind_cut_every_second_and_none_at_all_score_what_is_known():
 
 
 def test_boundaries_are_matched_one_to_one():
-    none, one = np.empty(0), np.array([1.0])
-    assert boundary_f1(none, one) == boundary_f1(one, none) == (0.0, 0.0, 0.0) and boundary_f1(none, none) == (
+    empty, one = np.empty(0), np.array([1.0])
+    assert boundary_f1(empty, one) == boundary_f1(one, empty) == (0.0, 0.0, 0.0) and boundary_f1(empty, empty) == (
         1.0,
         1.0,
         1.0,
@@ -174,13 +174,13 @@ def recording(path):
 
 def test_two_steps_are_one_repetition():
     fields = [("activity", "<i8"), ("repetition", "<i4"), ("side", "<i4")]
-    told = np.array([(0, 1, 1), (0, 1, 2), (0, 2, 0), (0, 3, 2), (0, 3, 1), (0, 0, 0), (1, 1, 1), (2, 1, 2)], fields)
-    made = found([0, 80], primitives=np.arange(0, 90, 10), repetition=told["repetition"].tolist())
+    events = np.array([(0, 1, 1), (0, 1, 2), (0, 2, 0), (0, 3, 2), (0, 3, 1), (0, 0, 0), (1, 1, 1), (2, 1, 2)], fields)
+    made = found([0, 80], primitives=np.arange(0, 90, 10), repetition=events["repetition"].tolist())
     assert len(made.repetitions()) == 7
-    made.second = second_steps(told)
+    made.second = second_steps(events)
     assert made.second.tolist() == [False, True, False, False, True, False, False, False]
     assert made.repetitions().tolist() == [[0, 20], [20, 30], [30, 50], [60, 70], [70, 80]]
-    assert second_steps(told[["activity", "repetition"]]) is None
+    assert second_steps(events[["activity", "repetition"]]) is None
     scores = score(made, truth([(0, 80, "walk", 5)], keys=(10.0, 40.0)))
     assert scores.repetitions == 0 and scores.key_place == pytest.approx(0.5)
 

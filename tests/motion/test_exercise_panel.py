@@ -144,9 +144,9 @@ def test_the_bell_rings_for_each_of_two_repetitions_that_are_counted_at_once(mon
     monkeypatch.setattr("kinegraph.devices.outlets.terminal.exercise_panel.ring", lambda: rung.append(1))
     outlet = opened(bell=True)
     for activity, counts in ((1, (1, 2)), (1, (3, 4, 5)), (2, (1, 2)), (2, (1,))):
-        told = [event("count", 5, activity=activity, count=k) for k in counts]
-        data = np.concatenate([one.data for one in told])
-        outlet.process("count", Chunk(np.concatenate([one.time for one in told]), data, told[-1].until))
+        fields = [event("count", 5, activity=activity, count=k) for k in counts]
+        data = np.concatenate([one.data for one in fields])
+        outlet.process("count", Chunk(np.concatenate([one.time for one in fields]), data, fields[-1].until))
     assert len(rung) == 7
 
 
@@ -165,13 +165,13 @@ def test_the_bell_is_heard_past_the_live_view(monkeypatch: pytest.MonkeyPatch) -
 
 
 def final(number: int, onset: float, end: float, side: int = 0, activity: int = 1) -> tuple[str, Chunk]:
-    told = {"activity": activity, "repetition": number, "side": side, "name": "knees", "duration_s": end - onset}
-    return "repetition", event("repetition", end + 3, onset=onset, end=end, **told)
+    fields = {"activity": activity, "repetition": number, "side": side, "name": "knees", "duration_s": end - onset}
+    return "repetition", event("repetition", end + 3, onset=onset, end=end, **fields)
 
 
 def ended(onset: float, end: float, activity: int = 1, repetitions: int = 0) -> tuple[str, Chunk]:
-    told = {"activity": activity, "repeats": repetitions > 0, "repetitions": repetitions, "certainty": 0.5}
-    return "activity", event("activity", end + 9, onset=onset, end=end, **told)
+    fields = {"activity": activity, "repeats": repetitions > 0, "repetitions": repetitions, "certainty": 0.5}
+    return "activity", event("activity", end + 9, onset=onset, end=end, **fields)
 
 
 def after(*parts: tuple[str, Chunk]) -> str:
@@ -223,17 +223,17 @@ def test_what_came_before_stands_in_its_order_and_rest_is_no_other_motion() -> N
 
 def repeated(activity: int, number: int, onset: float, end: float, name: str, sure: float) -> list[tuple[str, Chunk]]:
     """A repetition, and that it is one of the activity, in the order in which they come."""
-    told = {"onset": onset, "end": end, "activity": activity, "repetition": number}
+    fields = {"onset": onset, "end": end, "activity": activity, "repetition": number}
     return [
-        ("provisional", event("provisional", end, **told)),
+        ("provisional", event("provisional", end, **fields)),
         ("count", event("count", end, activity=activity, count=number)),
         ("believed", event("believed", end, activity=activity, repetition=number, name=name, sure=sure)),
     ]
 
 
 def confirmed(number: int, onset: float, end: float, name: str, sure: float) -> tuple[str, Chunk]:
-    told = {"activity": 1, "repetition": number, "name": name, "sure": sure, "duration_s": end - onset}
-    return "repetition", event("repetition", end + 1, onset=onset, end=end, **told)
+    fields = {"activity": 1, "repetition": number, "name": name, "sure": sure, "duration_s": end - onset}
+    return "repetition", event("repetition", end + 1, onset=onset, end=end, **fields)
 
 
 THREE = [
@@ -246,21 +246,21 @@ THREE = [
 
 
 def test_a_count_is_doubtful_only_when_one_that_rests_on_two_final_repetitions_says_so() -> None:
-    """The newest count was told when a single repetition was final, which cannot be compared with any."""
+    """The newest count was reported with a single final repetition, which cannot be compared with any."""
     assert "not sure" not in after(*THREE)
     assert "not sure that it repeats" in after(*THREE, ("count", event("count", 9, activity=1, count=4)))
 
 
 def test_how_sure_a_name_is_does_not_fall_with_every_repetition_that_has_not_quite_ended() -> None:
-    """The newest final one says; so long as there is none, what is believed."""
+    """The newest final one counts; before it, the provisional one."""
     assert ", 80% sure" in after(*THREE[:-1]) and ", 78% sure" in after(*THREE)
     assert ", 70% sure" in after(*THREE[:6])
     unlike = after(*THREE, *repeated(1, 4, 7, 9, "unknown", 0.0))
     assert unlike.startswith("arms x 4, ") and ", 78% sure" in unlike
     assert after(*THREE, *repeated(1, 4, 7, 9, "squat", 0.4)).startswith("squat x 4, ")
     assert after(*THREE, *repeated(1, 4, 7, 9, "", 0.0), confirmed(3, 5, 7, "unknown", 0.0)).startswith("unknown x 4")
-    said = ("believed", event("believed", 9, activity=1, repetition=3, name="arms up", sure=1.0))
-    assert after(*THREE, said).startswith("arms up x 3, ") and "100% sure" in after(*THREE, said)
+    believed = ("believed", event("believed", 9, activity=1, repetition=3, name="arms up", sure=1.0))
+    assert after(*THREE, believed).startswith("arms up x 3, ") and "100% sure" in after(*THREE, believed)
 
 
 def test_a_name_that_is_hardly_sure_is_a_question() -> None:

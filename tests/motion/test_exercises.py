@@ -42,7 +42,7 @@ def model() -> Taught:
 
 
 def named(x: Any, spans: list[tuple[int, int]], path: Path | None) -> Any:
-    """What NameRepetitions says of these repetitions, each told 20 frames after its end."""
+    """The output of NameRepetitions for these repetitions, each reported 20 frames after its end."""
     time = grid(30.0, len(x))
     operator = NameRepetitions(model=str(path or ""))
     operator.open({"in": SPEC, "primitive": StreamSpec((), PRIMITIVE)})
@@ -50,9 +50,9 @@ def named(x: Any, spans: list[tuple[int, int]], path: Path | None) -> Any:
     for k, (first, last) in enumerate(spans):
         since = spans[k - 1][1] + 20 if k else 0
         operator.process("in", Chunk(time[since : last + 20], x[since : last + 20], int(time[last + 19])))
-        told = np.zeros(1, PRIMITIVE)
-        told["onset"], told["end"], told["repetition"], told["cluster"] = time[first], time[last], k + 1, k
-        ((_, chunk),) = operator.process("primitive", Chunk(time[last + 19 : last + 20], told, int(time[last + 19])))
+        done = np.zeros(1, PRIMITIVE)
+        done["onset"], done["end"], done["repetition"], done["cluster"] = time[first], time[last], k + 1, k
+        ((_, chunk),) = operator.process("primitive", Chunk(time[last + 19 : last + 20], done, int(time[last + 19])))
         made.append(chunk.data)
     return np.concatenate(made)
 
@@ -70,9 +70,13 @@ def test_repetitions_are_called_what_was_shown_whatever_phase_they_are_cut_at(tm
 
 
 def live(
-    x: Any, told: list[tuple[int, int, int]], said: list[tuple[int, str]], image: Any = None, believed: Any = None
+    x: Any,
+    done: list[tuple[int, int, int]],
+    names_given: list[tuple[int, str]],
+    image: Any = None,
+    believed: Any = None,
 ) -> tuple[list[Any], list[Any]]:
-    """What NameRepetitions believes and says of repetitions (activity, first, last), with a name said at some frames.
+    """Provisional and final output of NameRepetitions for repetitions (activity, first, last), with a name given at some frames.
 
     believed  what is believed of them, if something else: (frame at which, activity, first, last)
     """
@@ -83,14 +87,14 @@ def live(
     operator = NameRepetitions()
     operator.open(specs)
     operator.process("radius", Chunk(time[:1], np.full(1, 0.3, specs["radius"].dtype), int(time[0])))
-    believed = [(last + 5, *one, last) for *one, last in told] if believed is None else believed
+    believed = [(last + 5, *one, last) for *one, last in done] if believed is None else believed
     events: list[tuple[int, str, Any]] = [
         (min(at, len(x) - 2), "provisional", (k, *one)) for k, (at, *one) in enumerate(believed)
     ]
     events += [
-        (min(last + 50, len(x) - 1), "primitive", (k, a, first, last)) for k, (a, first, last) in enumerate(told)
+        (min(last + 50, len(x) - 1), "primitive", (k, a, first, last)) for k, (a, first, last) in enumerate(done)
     ]
-    events += [(at, "annotations", text) for at, text in said]
+    events += [(at, "annotations", text) for at, text in names_given]
     made: dict[str, list[Any]] = {"believed": [], "repetition": []}
     since = 0
     for at, port, what in sorted(events, key=lambda e: e[0]):
@@ -105,7 +109,7 @@ def live(
         else:
             k, activity, first, last = what
             row["onset"], row["end"], row["activity"] = time[first], time[last], activity
-            row["repetition"] = 1 + sum(a == activity for a, _, _ in told[:k])
+            row["repetition"] = 1 + sum(a == activity for a, _, _ in done[:k])
         for name, chunk in operator.process(port, Chunk(time[at : at + 1], row, int(time[at]))):
             made[name] += list(chunk.data)
     return made["believed"], made["repetition"]
@@ -113,9 +117,9 @@ def live(
 
 def test_what_a_person_says_while_it_is_done_names_it_from_then_on() -> None:
     x = np.concatenate([turns(k, 6, 40, seed=k) for k in (0, 1, 0, 2)])
-    told = [(k, 240 * k + 40 * j, 240 * k + 40 * j + 39) for k in range(4) for j in range(5)]
+    done = [(k, 240 * k + 40 * j, 240 * k + 40 * j + 39) for k in range(4) for j in range(5)]
     believed, final = live(
-        x, told, [(130, "this is: squat"), (180, "well done"), (420, "This is arms"), (430, "this is: " + 30 * "x")]
+        x, done, [(130, "this is: squat"), (180, "well done"), (420, "This is arms"), (430, "this is: " + 30 * "x")]
     )
     names = [str(row["name"]) for row in final]
     assert names[:2] == ["", ""] or names[:2] == ["A", "A"]
@@ -132,7 +136,7 @@ def test_a_name_that_is_said_before_anything_repeats_is_that_of_what_comes_next(
 
 
 def test_without_a_model_what_is_believed_has_the_letter_of_the_activity_once_that_is_known() -> None:
-    """It had none, so that what listens to `believed` alone, such as a broker's entity, never got a name."""
+    """It had no name, so a reader of `believed` alone, such as a broker's entity, never got one."""
     x = turns(0, 8, 40)
     believed, final = live(x, [(3, 40 * j, 40 * j + 39) for j in range(6)], [])
     assert {str(row["name"]) for row in final} == {"A"}
@@ -140,7 +144,7 @@ def test_without_a_model_what_is_believed_has_the_letter_of_the_activity_once_th
 
 
 def test_a_repetition_that_becomes_an_example_lies_as_far_off_as_it_is_from_those_before_it() -> None:
-    """From itself it is 0 away, and a report of what was taught while it was done said that all were the same."""
+    """Its distance to itself is 0, so a report on repetitions taught while running showed them as all the same."""
     x = np.concatenate([turns(k, 6, 40, seed=k) for k in (0, 1)])
     _, final = live(x, [(0, 40 * j, 40 * j + 39) for j in range(6)], [(20, "this is: squat")])
     distance = [float(row["distance"]) for row in final]
@@ -150,12 +154,12 @@ def test_a_repetition_that_becomes_an_example_lies_as_far_off_as_it_is_from_thos
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.parametrize("pause", [45, 120])
 def test_a_name_that_is_said_as_the_next_exercise_begins_is_not_that_of_the_last(pause: int, known: bool) -> None:
-    """It is said half a second into the first repetition, before anybody can know that there is one."""
+    """The name is given half a second into the first repetition, before it can be detected."""
     begins = 240 + pause
     x = np.concatenate([turns(0, 6, 40), np.zeros((pause, 4)), turns(1, 6, 40), turns(0, 6, 40, seed=3)])
-    told = [(k, at + 40 * j, at + 40 * j + 39) for k, at in enumerate((0, begins, begins + 240)) for j in range(6)]
+    done = [(k, at + 40 * j, at + 40 * j + 39) for k, at in enumerate((0, begins, begins + 240)) for j in range(6)]
     marks = [(100, "this is: arms")] if known else []
-    believed, final = live(x, told, [*marks, (begins + 15, "this is: squat")])
+    believed, final = live(x, done, [*marks, (begins + 15, "this is: squat")])
     names = [str(row["name"]) for row in final]
     assert names[6:12] == ["squat"] * 6 and set(names[12:]) == {"arms" if known else UNKNOWN}
     assert not known or "squat" not in names[:6]
@@ -165,19 +169,19 @@ def test_a_name_that_is_said_as_the_next_exercise_begins_is_not_that_of_the_last
 
 @pytest.mark.parametrize(("pause", "at", "other"), [(120, 260, False), (120, 345, True), (45, 275, True)])
 def test_in_a_pause_a_name_is_that_of_the_nearer_exercise(pause: int, at: int, other: bool) -> None:
-    """In the last case the repetition before the pause becomes final after the name was said, and settles nothing."""
+    """In the last case the repetition before the pause becomes final after the name was given, and settles nothing."""
     begins = 240 + pause
     x = np.concatenate([turns(0, 6, 40), np.zeros((pause, 4)), turns(1, 6, 40), turns(0, 6, 40, seed=3)])
-    told = [
+    done = [
         (k, start + 40 * j, start + 40 * j + 39) for k, start in enumerate((0, begins, begins + 240)) for j in range(6)
     ]
-    _, final = live(x, told, [(at, "this is: squat")])
+    _, final = live(x, done, [(at, "this is: squat")])
     names = [str(row["name"]) for row in final]
     assert names[6:12] == ["squat" if other else UNKNOWN] * 6 and names[12:] == [UNKNOWN if other else "squat"] * 6
 
 
 def test_a_name_goes_with_repetitions_that_are_believed_of_another_activity_later() -> None:
-    """Said in a pause; what follows is believed to be activity 1, and then told again as activity 2, of which it becomes final."""
+    """Given in a pause; what follows is provisional in activity 1, then again in activity 2, where it becomes final."""
     x = np.concatenate([turns(0, 6, 40), np.zeros((120, 4)), turns(1, 8, 40)])
     first = [(0, 40 * j, 40 * j + 39) for j in range(6)]
     second = [(2, 360 + 40 * j, 360 + 40 * j + 39) for j in range(6)]
@@ -200,10 +204,10 @@ def test_how_alike_both_sides_move_is_told_of_every_repetition(shift: int | None
 def test_of_two_steps_the_second_tells_how_long_both_took() -> None:
     operator = NameRepetitions()
     operator.open({"in": SPEC, "primitive": StreamSpec((), PRIMITIVE)})
-    told = np.zeros(4, PRIMITIVE)
-    told["onset"], told["end"] = np.array([0, 30, 60, 110]) * NS // 30, np.array([29, 59, 99, 129]) * NS // 30
-    told["repetition"], told["side"] = [1, 1, 2, 3], [0, 1, 0, 1]
-    ((_, chunk),) = operator.process("primitive", Chunk(told["end"].copy(), told, int(told["end"][-1])))
+    done = np.zeros(4, PRIMITIVE)
+    done["onset"], done["end"] = np.array([0, 30, 60, 110]) * NS // 30, np.array([29, 59, 99, 129]) * NS // 30
+    done["repetition"], done["side"] = [1, 1, 2, 3], [0, 1, 0, 1]
+    ((_, chunk),) = operator.process("primitive", Chunk(done["end"].copy(), done, int(done["end"][-1])))
     assert np.allclose(chunk.data["duration_s"], [1.0, 1.0, 40 / 30, 20 / 30], atol=1e-6)
     assert np.allclose(chunk.data["whole_s"], [1.0, 2.0, 40 / 30, 20 / 30], atol=1e-6)
 
@@ -264,15 +268,15 @@ def test_one_shown_repetition_that_is_unlike_the_others_does_not_let_everything_
 
 def test_steps_of_both_sides_are_kept_however_many_were_shown() -> None:
     """Nine steps, five of which are kept: every second one would be five of the same side, and no step of the other is like them."""
-    told = np.zeros(9, PRIMITIVE)
-    told["side"], told["repetition"] = 1 + np.arange(9) % 2, 1 + np.arange(9) // 2
-    told["onset"], told["end"] = np.arange(9) * NS, np.arange(1, 10) * NS - 1
+    done = np.zeros(9, PRIMITIVE)
+    done["side"], done["repetition"] = 1 + np.arange(9) % 2, 1 + np.arange(9) // 2
+    done["onset"], done["end"] = np.arange(9) * NS, np.arange(1, 10) * NS - 1
     time = grid(30.0, 270, 0)
     frames = np.where(time[:, None] // NS % 2 == 0, 1.0, -1.0) * np.ones(4)
-    made = taught([("knees", _cut(told, time, frames))], 0.3)
+    made = taught([("knees", _cut(done, time, frames))], 0.3)
     kept = [float(x[0, 0]) for x in made.frames]
     assert len(kept) == 5 and set(kept) == {1.0, -1.0}
-    whole = told[["onset", "end"]][:3]
+    whole = done[["onset", "end"]][:3]
     assert [len(x) for x in _cut(whole, time, frames)] == [30, 30, 30]
 
 
@@ -295,20 +299,20 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
         return {exercise: Routine(Exerciser(seed=seed)).starts(k) for k, exercise in enumerate(EXERCISES)}
 
     made = tmp_path / "exercises.npz"
-    told = [f"{name}={at[0]:.1f}-{at[-1]:.1f}" for name, at in spans(2).items() if name != "wave"]
-    assert not kinegraph("motion", "label", session("shown", 2), *told, "-o", made)
+    done = [f"{name}={at[0]:.1f}-{at[-1]:.1f}" for name, at in spans(2).items() if name != "wave"]
+    assert not kinegraph("motion", "label", session("shown", 2), *done, "-o", made)
     assert "squat: 5 of 6 repetitions kept" in capsys.readouterr().out
-    for wrong, message in ((told, "exercises.npz exists"), (["rest=0-0.2"], "between 0 and 0.2 s; there are some at")):
+    for wrong, message in ((done, "exercises.npz exists"), (["rest=0-0.2"], "between 0 and 0.2 s; there are some at")):
         with pytest.raises(KinegraphError, match=message):
-            output = made if wrong is told else tmp_path / "other.npz"
+            output = made if wrong is done else tmp_path / "other.npz"
             cli.call("motion label", [str(tmp_path / "shown"), *wrong, "-o", str(output)])
-    both = [told[0], told[1], told[1].replace("squat", "arms")]
+    both = [done[0], done[1], done[1].replace("squat", "arms")]
     with pytest.raises(
         KinegraphError, match=r"squat and arms: the repetition at .* s cannot be both|arms and squat: the"
     ):
         cli.call("motion label", [str(tmp_path / "shown"), *both, "-o", str(tmp_path / "other.npz")])
     assert not (tmp_path / "other.npz").exists()
-    assert not kinegraph("motion", "label", tmp_path / "shown", told[1], told[1], "-o", tmp_path / "twice.npz")
+    assert not kinegraph("motion", "label", tmp_path / "shown", done[1], done[1], "-o", tmp_path / "twice.npz")
     assert "squat: 5 of 6 repetitions kept" in capsys.readouterr().out
     mixed = f"arms={spans(2)['arms'][0]:.1f}-{spans(2)['squat'][2]:.1f}"
     assert not kinegraph("motion", "label", tmp_path / "shown", mixed, "-o", tmp_path / "mixed.npz")
@@ -326,10 +330,10 @@ def test_exercises_are_taught_from_one_person_and_named_live_on_another(
 def test_taught_by_what_was_said_a_name_is_of_what_was_under_way_or_nearer() -> None:
     from kinegraph.operators.segmentation.commands.label import _meant
 
-    told = np.zeros(6, PRIMITIVE)
-    told["onset"] = np.array([0, 2, 4, 12, 14, 16]) * NS
-    told["end"], told["activity"] = told["onset"] + 2 * NS, [0, 0, 0, 2, 2, 2]
-    meant = [_meant(told, round(s * NS), {}) for s in (-1.0, 1.0, 6.5, 9.5, 12.5, 18.5, 40.0)]
+    done = np.zeros(6, PRIMITIVE)
+    done["onset"] = np.array([0, 2, 4, 12, 14, 16]) * NS
+    done["end"], done["activity"] = done["onset"] + 2 * NS, [0, 0, 0, 2, 2, 2]
+    meant = [_meant(done, round(s * NS), {}) for s in (-1.0, 1.0, 6.5, 9.5, 12.5, 18.5, 40.0)]
     assert meant == [0, 0, 0, 2, 2, 2, None]
-    assert _meant(told, round(6.5 * NS), {0: "arms"}) == 2 and _meant(told, 3 * NS, {0: "arms"}) == 0
-    assert _meant(told[:0], 0, {}) is None
+    assert _meant(done, round(6.5 * NS), {0: "arms"}) == 2 and _meant(done, 3 * NS, {0: "arms"}) == 0
+    assert _meant(done[:0], 0, {}) is None

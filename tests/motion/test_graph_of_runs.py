@@ -57,11 +57,11 @@ def test_the_graph_of_figure_10_1(kinegraph: Command) -> None:
     )
     Path("cut.yaml").write_text(CUT)
     assert kinegraph("replay", "cut.yaml", "trial.mcap", "-o", "cut", "-q")[0] == 0
-    code, said, wrong = kinegraph(
+    code, out, wrong = kinegraph(
         "motion", "train", "graph", "cut", "--no-mirror", "--within-cm", "8", "--call", "walk=1-6", "--call", "run=9-14", "-o", "graph.npz"
     )  # fmt: skip
     assert code == 0, wrong
-    assert "segmenting" not in said, "its primitives are those of the segmentation, as they come"
+    assert "segmenting" not in out, "its primitives are those of the segmentation, as they come"
     graph = MotionGraph.read(Path("graph.npz"))
     runs = np.flatnonzero(graph.cluster == graph.names.index("run"))
     assert len(runs) == 9 and (np.diff(runs) == 1).all(), "nine primitives, one after the other"

@@ -26,7 +26,7 @@ def grown(operator: GrowingGraph, joints: Samples, spans: list[tuple[int, int, i
     operator.open({"in": SPEC, "primitive": EVENTS})
     take = taking(operator, {"in": SPEC, "primitive": EVENTS})
     time, late = grid(RATE, len(joints)), round(RATE)
-    told: dict[str, list[Array]] = {"node": [np.empty(0, NODE)], "edge": [np.empty(0, EDGE)]}
+    events: dict[str, list[Array]] = {"node": [np.empty(0, NODE)], "edge": [np.empty(0, EDGE)]}
     emitted = []
     for i, stamp in enumerate(time):
         rows = [(time[a], time[b], c) for a, b, c in spans if min(b + late, len(time) - 1) == i]
@@ -38,9 +38,9 @@ def grown(operator: GrowingGraph, joints: Samples, spans: list[tuple[int, int, i
     emitted.append(operator.process("in", take("in", Chunk(time[:0], joints[:0], FOREVER))))
     for one in emitted:
         for name, chunk in one:  # type: ignore[union-attr]
-            told[name].append(chunk.data)  # type: ignore[union-attr, index, arg-type]
+            events[name].append(chunk.data)  # type: ignore[union-attr, index, arg-type]
     assert emitted[-1][0][1].until == FOREVER  # type: ignore[index, union-attr]
-    return np.concatenate(told["node"]), np.concatenate(told["edge"])
+    return np.concatenate(events["node"]), np.concatenate(events["edge"])
 
 
 def strides(count: int) -> list[tuple[int, int, int]]:
@@ -61,9 +61,9 @@ def test_it_finds_the_edges_that_a_built_graph_has() -> None:
     assert len(edges) == len(theirs) > 10
     frame = np.searchsorted(grid(RATE, len(joints)), np.stack([edges["leave"], edges["enter"]], 1))
     for edge, (leave, enter) in zip(edges, frame, strict=True):
-        told = theirs[edge["source"], edge["target"]]
-        assert (leave, enter) == (told[0], told[1])
-        np.testing.assert_allclose([edge[k] for k in ("turn", "x", "z", "distance")], told[2], atol=1e-9)
+        found_edge = theirs[edge["source"], edge["target"]]
+        assert (leave, enter) == (found_edge[0], found_edge[1])
+        np.testing.assert_allclose([edge[k] for k in ("turn", "x", "z", "distance")], found_edge[2], atol=1e-9)
     assert nodes["node"].tolist() == list(range(6)) and nodes["nodes"].tolist() == list(range(1, 7))
     core = strongest(whole, built).sum()
     assert nodes["core"][-1] == core >= 3

@@ -41,8 +41,8 @@ def test_a_pose_of_the_mirrored_body_is_the_mirrored_pose_also_stacked():
         return spec, stack.process("in", chunk)[0][1].data
 
     spec, plain = features(body)
-    told, made = mirror(Mirror(), spec, plain)
-    assert np.allclose(made, features(other)[1]) and told.meta["sides"] == "LR"
+    out, made = mirror(Mirror(), spec, plain)
+    assert np.allclose(made, features(other)[1]) and out.meta["sides"] == "LR"
 
 
 @pytest.mark.parametrize(

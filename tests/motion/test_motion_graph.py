@@ -1,4 +1,4 @@
-"""Motion graphs: edges are those of all pairs, walks go where they are told, seams and feet are sound, what is bad is refused."""
+"""Motion graphs: edges are those of all pairs, walks follow their commands, seams and feet are sound, bad data is refused."""
 
 from __future__ import annotations
 
@@ -366,8 +366,8 @@ def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph:
         "nodes:\n  someone: {use: devices.people.performer.Performer, realtime: false, duration_s: 40}\nrecord: [someone.pose]\n"
     )
     assert kinegraph("run", "someone.yaml", "--view", "none", "-o", "someone")[0] == 0
-    told = kinegraph("motion", "train", "graph", "someone", "-o", "graph.npz")
-    assert told[0] == 0 and "in the core" in told[1], told
+    trained = kinegraph("motion", "train", "graph", "someone", "-o", "graph.npz")
+    assert trained[0] == 0 and "in the core" in trained[1], trained
     refused(kinegraph("motion", "train", "graph", "someone", "-o", "graph.npz"), "--overwrite")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as avatar:
         avatar.bind(("127.0.0.1", 0))
@@ -443,7 +443,7 @@ def test_real_motion_goes_on_without_a_seam(seed: int) -> None:
 
 
 def test_chance_comes_to_all_that_was_recorded(graph: MotionGraph) -> None:
-    """A walk by chance prefers near seams and nodes that were entered less often: it enters every node of the core, none over and over."""
+    """A chance walk prefers near seams and nodes that were entered less often: it enters every node of the core without repeating one."""
     walker = GraphWalk(graph, seed=5)
     entered = np.zeros(len(graph.first))
     far = list[float]()

@@ -80,7 +80,7 @@ def slowly(x: Samples, k: int, every: int, most_rad: float) -> tuple[Samples, Sa
 
 
 def changing(n: int) -> Samples:
-    """Features whose principal plane becomes another, and whose two greatest axes change places."""
+    """Features with a changing principal plane, and with two largest axes that change places."""
     rng = np.random.default_rng(8)
     scales = ((6, 4, 1, 0.5, 0.3), (4, 9, 1, 0.5, 0.3), (1, 2, 12, 9, 0.3))
     basis = np.linalg.qr(rng.normal(size=(5, 5)))[0]

@@ -220,10 +220,10 @@ def test_radius_both_ways(stream, both):
         index.insert(row, radius=radii[number])
         plain.insert(row, radius=radii[number])
         frames, distances, ways = index.within_ways(radii[number], band=4, both=both)
-        wanted, apart, told = plain.within(radii[number], row, number, 4, both)
+        wanted, apart, both_ways = plain.within(radii[number], row, number, 4, both)
         assert np.array_equal(frames, wanted)
         assert distances.tobytes() == apart.tobytes()
-        assert np.array_equal(ways, told)
+        assert np.array_equal(ways, both_ways)
         found += len(frames)
     assert found > 1000
 
@@ -292,7 +292,7 @@ def test_frames_can_be_read_back_and_forgotten():
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "message"),
     [
         (lambda i: i.insert([1.0, 2.0]), r"must be \(3,\)"),
         (lambda i: i.nearest(9), "must be from 0 to 8"),
@@ -301,8 +301,8 @@ def test_frames_can_be_read_back_and_forgotten():
         (lambda i: Index(0, 300), "width is 0"),
     ],
 )
-def test_what_cannot_be_is_said(call, said):
-    with pytest.raises(NeighbourError, match=said):
+def test_what_cannot_be_is_refused(call, message):
+    with pytest.raises(NeighbourError, match=message):
         call(Index(3, 300, 8))
 
 

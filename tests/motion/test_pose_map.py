@@ -304,11 +304,11 @@ def test_marker_sets_meet_and_what_is_missing_is_said(kinegraph: Command, tmp_pa
         tmp_path / "b.mcap", other[::2], 30.0, ("T6", "S1", "S2", *NAMES[3:]), "mm", gait="<script>alert(1)</script>"
     )
     (tmp_path / "m.yaml").write_text(YAML)
-    code, said, _ = kinegraph(
+    code, out, _ = kinegraph(
         "motion", "train", "map", "a.mcap", "b.mcap", "--markers", "m.yaml", "-o", "x.npz", "--rows", "4"
     )
     assert code == 0
-    assert "b: lacks poll" in said and "not all sequences have them: poll" in said and "4 x 12 cells" in said
+    assert "b: lacks poll" in out and "not all sequences have them: poll" in out and "4 x 12 cells" in out
     made = MotionIndex.read(tmp_path / "x.npz")
     a, b = made.sequences
     assert b.missing == ("poll",) and b.rate_hz == 30.0 and b.facts == {"gait": "<script>alert(1)</script>"}
@@ -333,9 +333,9 @@ BAD = {
 @pytest.mark.parametrize("text", list(BAD))
 def test_a_bad_table_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "m.yaml").write_text(text)
-    with pytest.raises(KinegraphError, match=r"m\.yaml: .*") as told:
+    with pytest.raises(KinegraphError, match=r"m\.yaml: .*") as error:
         read_table(tmp_path / "m.yaml")
-    assert BAD[text] in str(told.value)
+    assert BAD[text] in str(error.value)
 
 
 def test_recordings_that_cannot_be_mapped_are_refused(kinegraph: Command, tmp_path: Path) -> None:

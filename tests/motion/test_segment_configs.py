@@ -85,7 +85,7 @@ def test_exercises_of_a_simulated_person_are_told_apart_by_their_symmetry(tmp_pa
     fast = ("--set", "mocap.realtime=false", "--set", "mocap.duration_s=65", "--set", f"report.path={tmp_path}/r.html")
     kinegraph("run", CONFIGS / "segment_mocap.yaml", *fast, "--view", "none", "-o", tmp_path / "move")
     with Recording.open(next(tmp_path.glob("move*"))) as recording:
-        told = {
+        segmented = {
             name: np.concatenate([entry[0].data for entry in recording.entries(f"segment.{name}")])
             for name in ("activity", "primitive")
         }
@@ -94,7 +94,7 @@ def test_exercises_of_a_simulated_person_are_told_apart_by_their_symmetry(tmp_pa
     for number, exercise in enumerate(EXERCISES):
         starts = routine.starts(number) * 1e9 + zero
         actions, parts = (
-            e[(e["onset"] < starts[-1]) & (e["end"] > starts[0]) & (e["cluster"] >= 0)] for e in told.values()
+            e[(e["onset"] < starts[-1]) & (e["end"] > starts[0]) & (e["cluster"] >= 0)] for e in segmented.values()
         )
         done = [a["symmetry"] for a in actions if starts[0] < (a["onset"] + a["end"]) / 2 < starts[-1]]
         assert done == [expected[exercise]]
@@ -117,8 +117,8 @@ def test_what_is_lost_one_by_one_is_filled_in_and_costs_no_repetition(config, so
     x = np.array([routine.joints(i) for i in range(round(30 * (routine.starts(2)[-1] + 3.0)))])
     x[np.random.default_rng(1004).random(len(x) if each == "frame" else x.shape[:2]) < 0.2] = np.nan
     spec = StreamSpec((20, 3), channels=JOINTS, units=("m",))
-    told = told_by(config, source, Series(spec, np.arange(len(x)) * NS // 30, x))
-    counted = told["primitive"][told["primitive"]["repetition"] > 0]
+    segmented = told_by(config, source, Series(spec, np.arange(len(x)) * NS // 30, x))
+    counted = segmented["primitive"][segmented["primitive"]["repetition"] > 0]
     middle = (counted["onset"] + counted["end"]) / 2 / NS
     for number in range(3):
         begins, ends = routine.starts(number)[[0, -1]]
@@ -137,8 +137,8 @@ def test_muscles_of_a_real_treadmill_walk_repeat_with_every_touchdown(tmp_path):
     kinegraph("replay", CONFIGS / "segment_emg.yaml", tmp_path / "walk.mcap", "-q", "-o", tmp_path / "out.mcap")
     with np.load(file) as archive:
         keys = archive["touchdown_s"] - archive["t_s"][0]
-    none = np.empty(0)
-    scores = score(read_found(tmp_path / "out.mcap"), Truth(none, none, [], none, keys))
+    empty = np.empty(0)
+    scores = score(read_found(tmp_path / "out.mcap"), Truth(empty, empty, [], empty, keys))
     assert scores.repetitions <= 1 and scores.key_sd <= 0.05
 
 
@@ -153,11 +153,11 @@ def test_a_real_kinect_recording_is_counted(tmp_path):
 
 
 @needs_data
-@pytest.mark.parametrize(("walk", "said"), [("S4_NO_FLOAT", True), ("S4_FLOAT", True), ("treadmill", False)])
-def test_a_short_walk_seen_by_four_muscles_ends_with_a_warning(walk: str, said: bool) -> None:
+@pytest.mark.parametrize(("walk", "warned"), [("S4_NO_FLOAT", True), ("S4_FLOAT", True), ("treadmill", False)])
+def test_a_short_walk_seen_by_four_muscles_ends_with_a_warning(walk: str, warned: bool) -> None:
     with np.load(DATA / "emg" / ("emg_santuz_tw12.npz" if walk == "treadmill" else f"emg_epfl_{walk}.npz")) as archive:
         x = archive["emg_uV" if walk == "treadmill" else "T_02_emg"].astype(np.float64)
     raw = Series(StreamSpec((x.shape[1],), rate_hz=1000.0, units=("uV",)), np.arange(len(x)) * NS // 1000, x)
     with capture_logs() as logs:
         told_by("segment_emg", "board", raw)
-    assert [entry["event"].startswith("too little motion to tell what repeats") for entry in logs] == [True] * said
+    assert [entry["event"].startswith("too little motion to tell what repeats") for entry in logs] == [True] * warned

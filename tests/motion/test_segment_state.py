@@ -1,4 +1,4 @@
-"""What the segmentation says of how far it is to be relied on: counted from none, said once."""
+"""The segmentation's reports on its own reliability: counted from 0, reported once."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def test_half_of_what_repeats_is_not_most_of_it(capture: list[dict[str, Any]], s
 
 
 @pytest.mark.parametrize(
-    ("certainty", "said"), [((), 0), ((0.5,), 1), ((0.5, 0.5), 1), ((0.5, 0.5, 0.5), 0), ((0.0, 0.5), 1)]
+    ("certainty", "warnings"), [((), 0), ((0.5,), 1), ((0.5, 0.5), 1), ((0.5, 0.5, 0.5), 0), ((0.0, 0.5), 1)]
 )
 def test_little_motion_is_a_warning_where_few_repetitions_are_certain(
-    certainty: tuple[float, ...], said: int, capture: list[dict[str, Any]], state: SegmentState
+    certainty: tuple[float, ...], warnings: int, capture: list[dict[str, Any]], state: SegmentState
 ) -> None:
     state.judge(activities(*certainty))
     state.say_short()
-    assert len(capture) == said
+    assert len(capture) == warnings
 
 
 def test_one_activity_that_does_not_repeat_is_no_warning_and_two_are(

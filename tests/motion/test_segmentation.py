@@ -93,7 +93,7 @@ def frames_of(operator: Segment) -> dict[str, int]:
     return frames | {"firm": max(frames["firm"], 2 * frames["max_lag"])}
 
 
-def told(reference: list[Event]) -> dict[str, list[Event]]:
+def in_events(reference: list[Event]) -> dict[str, list[Event]]:
     """The reference's events by output."""
     found: dict[str, list[Event]] = {name: [] for name in FIELDS}
     for kind, *rest in reference:
@@ -152,21 +152,21 @@ def test_a_feature_that_never_comes_is_said(capture: list[dict[str, Any]]) -> No
     for x in (walking(9), walking(9)[:20]):
         capture.clear()
         played(Segment(**QUICK), lossy(x, "one throughout"))
-        (said,) = capture
-        assert said["features"] == "1" and (said["left"], said["of"]) == (5, 6)
+        (warning,) = capture
+        assert warning["features"] == "1" and (warning["left"], warning["of"]) == (5, 6)
     capture.clear()
     played(Segment(**QUICK), lossy(walking(9), "values"))
     assert not capture
 
 
 def test_who_is_out_of_sight_does_nothing() -> None:
-    """All values missing for long: 20 s of that were told as an activity."""
+    """All values missing for long: 20 s of that were reported as an activity."""
     operator, x = Segment(**QUICK), walking(9)
     for blind in (40, 120, 400):
         gone = np.full((blind, x.shape[1]), np.nan)
         seen = np.concatenate([gone, x, gone, x, gone])
         events, stamps = played(operator, seen)
-        assert as_frames(seen, events, stamps) == told(
+        assert as_frames(seen, events, stamps) == in_events(
             Reference(seen, frames_of(operator), operator.radius_share).run()
         )
         counted = events["primitive"][events["primitive"]["repetition"] > 0]
@@ -177,7 +177,7 @@ def test_who_is_out_of_sight_does_nothing() -> None:
 
 
 def test_nothing_that_is_ever_seen_is_no_activity_and_said_at_once(capture: list[dict[str, Any]]) -> None:
-    """A skeleton whose hips are never found has no pose: a session of that was told as one activity."""
+    """A skeleton without hips has no pose: such a session was reported as one activity."""
     operator = Segment(**QUICK)
     operator.open({"in": StreamSpec((6,), rate_hz=RATE)})
     time = grid(RATE, 600)
@@ -210,7 +210,7 @@ def test_the_live_events_are_the_references_for_any_length_of_the_recording(seed
     operator, x = Segment(**QUICK), motion(seed, bad=seed % 3 == 0, rests=seed % 2 == 0)
     for n in (len(x), len(x) * 2 // 3, 100):
         reference = Reference(x[:n], frames_of(operator), operator.radius_share)
-        expected = told(reference.run())
+        expected = in_events(reference.run())
         events, stamps = played(operator, x[:n], pieces=seed + 1)
         assert as_frames(x[:n], events, stamps) == expected
         assert np.allclose(events["activity"]["certainty"], reference.certain)
@@ -220,7 +220,7 @@ def test_the_live_events_are_the_references_for_any_length_of_the_recording(seed
 
 def test_a_given_radius_is_kept() -> None:
     operator, x = Segment(radius=0.6, **QUICK), motion(8)
-    expected = told(Reference(x, frames_of(operator), operator.radius_share, 0.6).run())
+    expected = in_events(Reference(x, frames_of(operator), operator.radius_share, 0.6).run())
     events, stamps = played(operator, x)
     assert as_frames(x, events, stamps) == expected
     assert len(events["radius"]) and set(events["radius"]["radius"]) == {0.6}
@@ -326,7 +326,7 @@ def test_the_live_events_with_a_mirror_are_the_references(seed: int) -> None:
     for n in (len(x), len(x) // 2):
         images, firsts = mirror_images(x[:n])
         reference = Reference(x[:n], frames_of(operator), operator.radius_share, None, images, firsts)
-        assert as_frames(x[:n], *played(operator, x[:n], mirror=SIDES)) == told(reference.run())
+        assert as_frames(x[:n], *played(operator, x[:n], mirror=SIDES)) == in_events(reference.run())
 
 
 def test_strides_are_refined_into_the_steps_of_both_sides() -> None:
@@ -528,7 +528,7 @@ def test_the_three_walks_of_a_recording_are_one_cluster_that_holds_nothing_else(
     x = stacked(found["e15_cm"])
     operator = Segment()
     events, stamps = played(operator, x)
-    assert as_frames(x, events, stamps) == told(Reference(x, frames_of(operator), operator.radius_share).run())
+    assert as_frames(x, events, stamps) == in_events(Reference(x, frames_of(operator), operator.radius_share).run())
     walk = int(np.flatnonzero(found["label_names"] == "walk")[0])
     labels = found["label"][10 : 10 + len(x)]
     time = grid(RATE, len(x))
@@ -576,15 +576,15 @@ def test_a_pause_is_rest_and_no_repetition(seed: int) -> None:
     events, _ = played(Segment(), stacked(lifts(seed, 10, 60, 120)))
     assert (events["primitive"]["repetition"] > 0).sum() == 10
     assert len(events["rest"]) >= 9
-    told = (events["rest"]["end"] - events["rest"]["onset"]) / 1e9
-    assert (told > 2.5).sum() >= 9 and (told[:9] < 5.0).all()
+    rests = (events["rest"]["end"] - events["rest"]["onset"]) / 1e9
+    assert (rests > 2.5).sum() >= 9 and (rests[:9] < 5.0).all()
 
 
 @pytest.mark.parametrize(
     ("exercise", "noise_mm", "pause_s"), [("squat", 6.0, 20.0), ("knees", 6.0, 8.0), ("squat", 10.0, 20.0)]
 )
 def test_who_stands_before_a_noisy_camera_rests(exercise: str, noise_mm: float, pause_s: float) -> None:
-    """From one frame to the next noise moves more than squats or knees do: no rest was told, and standing was counted (3 to 5 of ten)."""
+    """From one frame to the next noise moves more than squats or knees do: no rest was found, and standing was counted (3 to 5 of ten)."""
     routine = Routine(Exerciser(exercises=(exercise,), noise_mm=noise_mm, pause_s=pause_s, jitter_ms=0.0, seed=1))
     sets = [routine.starts(k)[[0, -1]] for k in range(3)]
     events, _ = played(Segment(), seen(routine, float(sets[-1][1]) + 3.0))
@@ -634,18 +634,18 @@ def test_stillness_before_the_motion_is_told_as_rest(still_s: int) -> None:
         still_s, abs=1.0
     )
     reference = Reference(x, frames_of(operator), operator.radius_share)
-    assert as_frames(x, events, stamps) == told(reference.run())
+    assert as_frames(x, events, stamps) == in_events(reference.run())
 
 
 def test_all_of_the_stillness_before_the_motion_is_told_though_the_motion_begins_slowly() -> None:
-    """By its first frames alone a single one of those before it, a little noisier, looked like motion: of 18 s 4 were told."""
+    """By its first frames alone a single one of those before it, a little noisier, looked like motion: of 18 s 4 were reported."""
     operator = Segment()
     x = seen(Routine(Exerciser(noise_mm=1.0, jitter_ms=0.0, seed=3, pause_s=18.0)), 23.0)
     events, stamps = played(operator, x)
     first = events["rest"][0]
     assert first["onset"] < 1.5 * NS and first["end"] / 1e9 == pytest.approx(18.0, abs=0.7)
     assert stamps["rest"][0] - first["end"] <= 3 * NS
-    assert as_frames(x, events, stamps) == told(Reference(x, frames_of(operator), operator.radius_share).run())
+    assert as_frames(x, events, stamps) == in_events(Reference(x, frames_of(operator), operator.radius_share).run())
 
 
 def test_stillness_behind_a_gap_is_told_as_rest_too() -> None:
@@ -676,10 +676,10 @@ def believed_late(events: dict[str, Any], stamps: dict[str, Any]) -> list[float]
     """How many cycles after its end each repetition was first believed, from the second one of an activity on."""
     found, when = events["provisional"], stamps["provisional"]
     late = []
-    for told in events["primitive"][events["primitive"]["repetition"] > 1]:
-        length = told["end"] - told["onset"]
-        same = (found["repetition"] > 0) & (np.abs(found["onset"] - told["onset"]) < length / 2)
-        late.append(float((when[same].min() - told["end"]) / length) if same.any() else np.inf)
+    for event in events["primitive"][events["primitive"]["repetition"] > 1]:
+        length = event["end"] - event["onset"]
+        same = (found["repetition"] > 0) & (np.abs(found["onset"] - event["onset"]) < length / 2)
+        late.append(float((when[same].min() - event["end"]) / length) if same.any() else np.inf)
     return late
 
 
@@ -731,12 +731,12 @@ def test_a_count_that_was_too_high_is_corrected() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_what_is_merely_believed_of_an_activity_is_not_as_certain_as_the_one_before_it(seed: int) -> None:
-    """A count says how certain those are that are final; it said so of the activity that had ended."""
+    """A count carries the certainty of its final repetitions; it carried that of the activity before."""
     events, stamps = played(Segment(**QUICK), motion(seed))
     final = events["primitive"]
-    for at, told in zip(stamps["count"], events["count"], strict=True):
-        mine = (final["activity"] == told["activity"]) & (final["repetition"] > 0) & (stamps["primitive"] <= at)
-        assert len(set(final["repetition"][mine])) > 1 or told["certainty"] == 0.0
+    for at, event in zip(stamps["count"], events["count"], strict=True):
+        mine = (final["activity"] == event["activity"]) & (final["repetition"] > 0) & (stamps["primitive"] <= at)
+        assert len(set(final["repetition"][mine])) > 1 or event["certainty"] == 0.0
     assert (events["count"]["certainty"] > 0.0).any()
 
 
@@ -861,12 +861,12 @@ def test_gestures_from_a_resting_pose_count_though_no_cycle_brings_them_back() -
     counted = events["primitive"][events["primitive"]["repetition"] > 0]
     assert len(counted) == 6 and set(counted["cluster"]) == {-1}
     assert events["activity"]["repetitions"].sum() == 6
-    assert as_frames(x, events, stamps) == told(Reference(x, frames_of(operator), operator.radius_share).run())
+    assert as_frames(x, events, stamps) == in_events(Reference(x, frames_of(operator), operator.radius_share).run())
 
 
 @pytest.mark.parametrize(("every", "counts"), [(12, True), (5, False)])
 def test_what_trembles_is_no_gesture(every: int, counts: bool) -> None:
-    """A table that one frame's events do not fit into is memory that is overwritten: beyond a number of excursions none counts."""
+    """A table that one frame's events do not fit into is memory that is overwritten: excursions beyond a number do not count."""
     x = 0.01 * np.random.default_rng(4).normal(size=(1500, 3))
     x[::every] += 1.0
     operator = Segment(

@@ -29,8 +29,8 @@ def fed(size: int, gap_s: float) -> tuple[dict[str, Array], int]:
     last = int(operator.state.last[0])
     emitted += operator.process("in", Chunk(time[:0], x[:0], FOREVER))
     emitted += operator.close()
-    told = {name: np.concatenate([c.data for n, c in emitted if n == name]) for name in operator.outputs}
-    return told, last - int(time[-1])
+    events = {name: np.concatenate([c.data for n, c in emitted if n == name]) for name in operator.outputs}
+    return events, last - int(time[-1])
 
 
 @pytest.mark.parametrize(("gap_s", "actions"), [(0.9, 1), (1.1, 2)])

@@ -74,15 +74,15 @@ def test_motion_about_two_places_falls_into_two_though_frames_are_missing() -> N
 
 def test_two_cycles_are_believed_as_soon_as_the_second_is_seen_to_end() -> None:
     x = circle(60, 12, size=2.0)
-    s, said = memory(x[:1]), {}
+    s, last = memory(x[:1]), {}
     for t in range(1, 60):
         insert(s, x[t], t)
         s.event_count = 0
         foresee(s, 0, t, True)
         for row in s.events[: s.event_count]:
-            said[int(row[0]), int(row[3 if row[0] == COUNT_EVENT else 5])] = t
-    believed = [said[BELIEVED_EVENT, k] for k in range(1, 6)]
-    assert believed == [said[COUNT_EVENT, k] for k in range(1, 6)]
+            last[int(row[0]), int(row[3 if row[0] == COUNT_EVENT else 5])] = t
+    believed = [last[BELIEVED_EVENT, k] for k in range(1, 6)]
+    assert believed == [last[COUNT_EVENT, k] for k in range(1, 6)]
     assert believed[0] == believed[1] <= 2 * 12 + 3 and believed[2:] == [35, 47, 59]
 
 

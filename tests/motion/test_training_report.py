@@ -70,14 +70,14 @@ def sets(sure: float = 0.7) -> list[tuple[str, Chunk]]:
                 "sure": sure,
                 "symmetry": 0.9,
             }
-            told = {
+            fields = {
                 "onset": onset,
                 "end": onset + 2,
                 "activity": k,
                 "repetition": n + 1,
                 "name": "squat" if k else "arms",
             }
-            parts.append(("repetition", event("repetition", onset + 3, **told, **numbers)))
+            parts.append(("repetition", event("repetition", onset + 3, **fields, **numbers)))
         ends = {
             "onset": 19.0 * k,  # the second set begins with a rest
             "end": 20.0 * k + 18.5 - 8.5 * k,  # and the first one ends with it
@@ -142,9 +142,9 @@ def test_a_difference_that_nobody_can_see_looks_like_none(tmp_path: Path) -> Non
     for first, second, most in ((103.0, 103.2, 2.0), (80.0, 120.0, 36.0)):
         parts = []
         for n, reach in enumerate((first, second, first)):
-            told = {"onset": 2.0 * n, "end": 2.0 * n + 2, "activity": 0, "repetition": n + 1, "name": "arms"}
+            fields = {"onset": 2.0 * n, "end": 2.0 * n + 2, "activity": 0, "repetition": n + 1, "name": "arms"}
             parts.append(
-                ("repetition", event("repetition", 2.0 * n + 3, duration_s=2.0, range=reach, distance=np.nan, **told))
+                ("repetition", event("repetition", 2.0 * n + 3, duration_s=2.0, range=reach, distance=np.nan, **fields))
             )
         parts.append(("activity", event("activity", 12, repeats=True, onset=0, end=6, activity=0, repetitions=3)))
         page, _ = report_of(tmp_path, parts)
@@ -170,14 +170,14 @@ def test_hours_of_training_take_no_more_memory_than_one(tmp_path: Path) -> None:
     assert size_of(outlet.state.training) < 1 << 20
     for k in range(520):
         for n in range(2):
-            told = {
+            fields = {
                 "onset": 9.0 * k + n,
                 "activity": k,
                 "repetition": n + 1,
                 "name": f"exercise {k}",
                 "duration_s": 1.5,
             }
-            outlet.process("repetition", event("repetition", 9.0 * k + 2, moves=f"ankle_{n}", **told))
+            outlet.process("repetition", event("repetition", 9.0 * k + 2, moves=f"ankle_{n}", **fields))
         outlet.process("activity", event("activity", 9.0 * k + 3, repeats=True, activity=k, repetitions=2))
     kept = outlet.state.training
     assert (kept.n_sets, kept.n_repetitions, kept.left_out) == (500, 1000, 20 + 40)

@@ -65,29 +65,29 @@ def found(folder: Path, name: str) -> tuple[Any, Any]:
 def test_counts_are_right_as_the_exercises_go(trained: tuple[Path, Routine]) -> None:
     """From the third repetition on: half a cycle after its end it counts, and at most the next one, which is half done, beside it."""
     folder, routine = trained
-    at, told = found(folder, "segment.count")
+    at, table = found(folder, "segment.count")
     for number in range(len(DONE)):
         starts = routine.starts(number)
         for k in range(3, TEN + 1):
-            shown = told["count"][at <= starts[k] + (starts[k] - starts[k - 1]) / 2][-1]
+            shown = table["count"][at <= starts[k] + (starts[k] - starts[k - 1]) / 2][-1]
             assert shown in (k, min(k + 1, TEN)), (DONE[number], k)
 
 
 def test_names_are_right_as_the_exercises_go(trained: tuple[Path, Routine]) -> None:
     folder, routine = trained
-    at, told = found(folder, "named.believed")
+    at, table = found(folder, "named.believed")
     for number, name in enumerate(DONE):
         starts = routine.starts(number)
         mine = (at > starts[2]) & (at < starts[-1] + 1.0)
-        assert mine.sum() >= TEN - 2 and set(told["name"][mine]) == {name}
+        assert mine.sum() >= TEN - 2 and set(table["name"][mine]) == {name}
 
 
 @pytest.mark.nightly
 def test_the_report_has_ten_of_each_with_its_name(trained: tuple[Path, Routine]) -> None:
     folder, routine = trained
-    _, told = found(folder, "named.repetition")
-    assert [(name, int((told["name"] == name).sum())) for name in DONE] == [(name, TEN) for name in DONE]
-    assert len(told) == TEN * len(DONE)
+    _, table = found(folder, "named.repetition")
+    assert [(name, int((table["name"] == name).sum())) for name in DONE] == [(name, TEN) for name in DONE]
+    assert len(table) == TEN * len(DONE)
     page = re.sub(r"<svg.*?</svg>", "", folder.with_suffix(".html").read_text(), flags=re.S)
     cells = [
         [re.sub("<.*?>", "", c) for c in re.findall("<td.*?>(.*?)</td>", row)]
@@ -103,7 +103,7 @@ def test_the_report_has_ten_of_each_with_its_name(trained: tuple[Path, Routine])
 
 
 def test_a_rest_lasts_as_long_as_somebody_stands_also_before_a_camera_with_little_noise(tmp_path: Path) -> None:
-    """Stillness that never reaches the segmentation is a gap: of 12 s of rest 2 were told."""
+    """Stillness that never reaches the segmentation is a gap: of 12 s of rest 2 were reported."""
     routine = Routine(Exerciser(seed=3, noise_mm=1.0, exercises=DONE, repetitions=4, pause_s=12.0))
     little = {"kinect.seed": 3, "kinect.noise_mm": 1, "kinect.repetitions": 4, "kinect.pause_s": 12}
     _, rests = found(session(tmp_path / "still", routine, **little), "segment.rest")

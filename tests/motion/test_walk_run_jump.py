@@ -38,9 +38,9 @@ def trained(kinegraph: Command) -> MotionGraph:
     """One recording, segmented and made into a graph by the command; the motions are shown by when they were done."""
     shown = record_athlete(Path("athlete.mcap"))
     calls = [word for name, first, last in shown for word in ("--call", f"{name}={first:.1f}-{last:.1f}")]
-    code, said, wrong = kinegraph("motion", "train", "graph", "athlete.mcap", *calls, "-o", "graph.npz")
+    code, out, wrong = kinegraph("motion", "train", "graph", "athlete.mcap", *calls, "-o", "graph.npz")
     assert code == 0, wrong
-    assert "segmenting" in said
+    assert "segmenting" in out
     return MotionGraph.read(Path("graph.npz"))
 
 
@@ -97,7 +97,7 @@ def test_it_goes_where_it_is_told_as_it_is_told(trained: MotionGraph) -> None:
     feed = Watcher()
     Synthesis(model=Path("graph.npz"), then="wander").read(feed)  # type: ignore[arg-type]
     poses, nodes = np.array(feed.poses), np.array(feed.nodes, NODE)
-    assert not feed.reports and len(feed.told_at) == 3, "each was done, so that the next could be told"
+    assert not feed.reports and len(feed.told_at) == 3, "each was done, so that the next could start"
     walks, runs, jumps = feed.told_at
     stamps = 1000 * NS + np.round(np.arange(len(poses)) * NS / RATE).astype(np.int64)
     names = nodes["cluster"][np.searchsorted(nodes["onset"], stamps, side="right") - 1]

@@ -31,7 +31,7 @@ def test_a_sensor_counts_by_its_weight_however_many_channels_it_has() -> None:
 @pytest.mark.parametrize(
     ("weights", "message"),
     [
-        ({"*.a?": 1.0}, "TA matches; none do"),
+        ({"*.a?": 1.0}, "TA matches; no channels do"),
         ({"*": 1.0, "TA": 1.0}, "TA matches; 2 do"),
         ({"*": 1.0, "wrist": 1.0}, "what matches one of TA"),
         ({"*": 0.0}, "a number above 0"),

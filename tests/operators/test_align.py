@@ -78,14 +78,14 @@ def run(operator, streams, specs, seed=None, lost=None, *, in_turn=False):
         for name, piece in merge.push(port, chunk) if merge else [(port, chunk)]:
             emitted.append(operator.process(name, piece))
     emitted.append(operator.close())
-    stamps, rows, marks, told, owed = [], [], {}, None, 0
+    stamps, rows, marks, promised, owed = [], [], {}, None, 0
     for given in emitted:
         for chunk in [given] if isinstance(given, Chunk) else [piece for _, piece in given or ()]:
-            assert told is None or not len(chunk.time) or chunk.time[0] > told
+            assert promised is None or not len(chunk.time) or chunk.time[0] > promised
             owed += chunk.lost
             if len(chunk.time) and owed:
                 marks[sum(map(len, stamps))], owed = owed, 0
-            told = chunk.until if told is None else max(told, chunk.until)
+            promised = chunk.until if promised is None else max(promised, chunk.until)
             stamps.append(chunk.time)
             rows.append(chunk.data)
     return made, np.concatenate(stamps), np.concatenate(rows), marks

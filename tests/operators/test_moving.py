@@ -91,7 +91,7 @@ def test_running_mean_is_removed():
 
 def test_initial_mean_is_kept():
     data = noise(400)
-    assert RemoveMean() == RemoveMean(window_s=1.0), "a second, if nobody says otherwise"
+    assert RemoveMean() == RemoveMean(window_s=1.0), "a second by default"
     _, _, out, _ = run(RemoveMean(mean="initial", window_s=0.5), data, cuts=(3, 100))
     np.testing.assert_allclose(out[99:], data[99:] - data[:100].mean(axis=0), rtol=0, atol=1e-15)
     np.testing.assert_allclose(out[9], data[9] - data[:10].mean(axis=0), rtol=0, atol=1e-15)

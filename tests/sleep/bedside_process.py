@@ -1,4 +1,4 @@
-"""Runs a graph as a process that can be killed, and whose wall clock can be set back: python bedside_process.py CONFIG FOLDER [--resume].
+"""Runs a graph as a process that can be killed, with a wall clock that can be set back: python bedside_process.py CONFIG FOLDER [--resume].
 
 While a file `set-back` lies beside CONFIG, the wall clock is an hour slow.
 """

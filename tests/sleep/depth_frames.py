@@ -30,7 +30,7 @@ def blocks_spec(rows: int, columns: int, rate_hz: float = 5.0) -> StreamSpec:
 
 
 def regions(time: int, **rectangles: tuple[int, int, int, int]) -> tuple[StreamSpec, Array, Array]:
-    """Regions in pixels by sleeper, told at `time`."""
+    """Regions in pixels by sleeper, stamped `time`."""
     events = np.array([(time, name, *rectangle, False) for name, rectangle in rectangles.items()], REGION)
     return region_spec(tuple(rectangles), META), events["onset"].copy(), events
 

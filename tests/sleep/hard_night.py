@@ -171,7 +171,7 @@ def _logged(folder: Path, process: subprocess.Popen[bytes], least: int) -> np.nd
 
 
 def _started(config: Path, now: int, *options: str) -> subprocess.Popen[bytes]:
-    """The night's process, whose wall clock says `now` (ns)."""
+    """The night's process, with a wall clock of `now` (ns)."""
     config.with_name("clock").write_text(str(now - time.time_ns()))
     command = [sys.executable, __file__, str(config), str(config.with_name("session")), *options]
     with config.with_name("log.txt").open("ab") as log:

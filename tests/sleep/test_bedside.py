@@ -31,7 +31,7 @@ def test_a_night_goes_along_its_hypnogram() -> None:
     onsets = [act.onset_s for act in made.acts]
     ends = [act.end_s for act in made.acts]
     assert onsets == sorted(onsets) and all(a < b for a, b in zip(ends, onsets[1:], strict=False)), (
-        "none overlaps another"
+        "they do not overlap"
     )
     assert 11 < made.breaths_per_min(1000, 1030) < 17
     assert plan(stages, exits=2, seed=3).acts == made.acts != plan(stages, exits=2, seed=4).acts
@@ -82,7 +82,7 @@ def test_a_hypnogram_is_read_from_a_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("time,stage\n0,W\n", "line 2: '0,W' is not an onset"),
         ("onset,stage\n0,W\n30,Q\n", "line 3: '30,Q' is not an onset"),
@@ -93,10 +93,12 @@ def test_a_hypnogram_is_read_from_a_table(tmp_path: Path) -> None:
         ("onset,stage\n", "no stage"),
     ],
 )
-def test_a_table_that_is_no_hypnogram_is_refused_before_anything_starts(tmp_path: Path, text: str, told: str) -> None:
+def test_a_table_that_is_no_hypnogram_is_refused_before_anything_starts(
+    tmp_path: Path, text: str, message: str
+) -> None:
     path = tmp_path / "stages.csv"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(ParameterError, match=told):
+    with pytest.raises(ParameterError, match=message):
         Bedside(hypnogram=str(path)).specs()
     with pytest.raises(ParameterError, match="cannot be read"):
         Bedside(hypnogram=str(tmp_path / "none.csv")).specs()
@@ -163,9 +165,9 @@ def test_faults_of_the_camera_are_not_scored() -> None:
     at = (rates["onset"] - START) / NS
     unseen = (at >= 900) & (at < 1200) | (at >= 1500) & (at < 1800)
     assert unseen.sum() == 20 and np.isnan(rates["rate"][unseen]).all()
-    told = [(str(e["state"]), round((int(e["onset"]) - START) / NS)) for e in run["presence"]]
-    assert [state for state, _ in told] == ["out", "in", "unknown", "in", "unknown", "in", "out", "unknown"]
-    assert [second for _, second in told[2:6]] == [1500, 1800, 2100, 2700]
+    states = [(str(e["state"]), round((int(e["onset"]) - START) / NS)) for e in run["presence"]]
+    assert [state for state, _ in states] == ["out", "in", "unknown", "in", "unknown", "in", "out", "unknown"]
+    assert [second for _, second in states[2:6]] == [1500, 1800, 2100, 2700]
 
 
 def test_two_sleepers_are_told_apart() -> None:

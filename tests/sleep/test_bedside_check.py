@@ -29,21 +29,21 @@ def test_a_bed_that_was_found_holds_who_lies_in_it(kinegraph: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "told"),
+    ("more", "message"),
     [
         (("--set", "bed.regions=[[0, 0, 24, 24]]"), "too small, or elsewhere; try regions: [[8, 56, 96, 40]]"),
         (("--set", "bed.regions=[[0, 0, 120, 160]]"), "it is too large; try regions"),
-        (("--between", 0, "--in", 50), "nobody was seen lying there"),
+        (("--between", 0, "--in", 50), "no person was seen in bed"),
     ],
 )
-def test_what_is_not_well_is_named_and_ends_with_2(kinegraph: Command, more: tuple[object, ...], told: str) -> None:
+def test_what_is_not_well_is_named_and_ends_with_2(kinegraph: Command, more: tuple[object, ...], message: str) -> None:
     code, out, _ = kinegraph("sleep", "check", *ROOM, *more)
-    assert code == 2 and told in out
+    assert code == 2 and message in out
 
 
 def test_a_stereo_camera_without_a_light_is_refused_before_it_is_opened(kinegraph: Command) -> None:
-    told = kinegraph("sleep", "check", CONFIGS / "bedside_sleep.yaml", "--set", "camera.projector=0")
-    refused(told, "sees nothing in the dark", "lit_room: true")
+    checked = kinegraph("sleep", "check", CONFIGS / "bedside_sleep.yaml", "--set", "camera.projector=0")
+    refused(checked, "sees nothing in the dark", "lit_room: true")
 
 
 @pytest.mark.parametrize(("raised", "empty"), [((8, 12), False), ((0, 4), True)])

@@ -1,5 +1,5 @@
 """A night from frames to the morning, by configs/bedside_sleep.yaml: two power cuts, a camera that goes, a clock set back; and in the end
-the report says what home automation was told, epoch by epoch. KINEGRAPH_NIGHT_H=8 makes it a night of eight hours."""
+the report agrees with home automation, epoch by epoch. KINEGRAPH_NIGHT_H=8 makes it a night of eight hours."""
 
 from __future__ import annotations
 
@@ -76,8 +76,8 @@ def over(process: subprocess.Popen[str], *, killed: bool = False) -> int:
 
 def history(client: Listener) -> list[tuple[int, str]]:
     """(onset, state) of every final epoch that was reported, as it came; what a new listener is sent again first is left out."""
-    told = [json.loads(text) for topic, text, retained in client.messages if topic == HISTORY and not retained]
-    return [(epoch["key"], epoch["state"]) for epoch in told]
+    epochs_sent = [json.loads(text) for topic, text, retained in client.messages if topic == HISTORY and not retained]
+    return [(epoch["key"], epoch["state"]) for epoch in epochs_sent]
 
 
 @pytest.mark.timeout(600)
@@ -96,28 +96,28 @@ def test_a_night_with_two_power_cuts_ends_in_a_report_that_agrees_with_what_was_
         over(process, killed=True)
         process = start(config, session, "--resume")
         assert over(process) == 0, (tmp_path / "log.txt").read_text()[-3000:]
-        told = history(client)
+        epochs_sent = history(client)
         entities = {t: json.loads(x) for t, x, _ in client.messages if t.startswith("homeassistant/")}
-        said = {topic: text for topic, text, _ in client.messages}
+        topics = {topic: text for topic, text, _ in client.messages}
 
-    onsets = [onset for onset, _ in told]
+    onsets = [onset for onset, _ in epochs_sent]
     assert onsets == sorted(set(onsets)), "an epoch was reported twice, or out of turn"
     ((folder, facts),) = archive.nights(tmp_path / "nights")
     epochs = archive.read_epochs(folder)
     logged = list(zip(epochs.onset.tolist(), epochs.texts["state"].tolist(), strict=True))
     assert len(logged) > 130
-    assert [(onset, state) for onset, state in told if logged[0][0] <= onset <= logged[-1][0]] == logged
-    assert said["kinegraph/bed/asleep_final/state"] in ("ON", "OFF", "None")
+    assert [(onset, state) for onset, state in epochs_sent if logged[0][0] <= onset <= logged[-1][0]] == logged
+    assert topics["kinegraph/bed/asleep_final/state"] in ("ON", "OFF", "None")
 
     for topic, message in entities.items():
         home_assistant.check(topic, message)
     assert len(entities) == 15
     assert {message["device"]["suggested_area"] for message in entities.values()} == {"Bedroom"}
-    assert said["kinegraph/bed/report/state"].startswith("Asleep ")
-    assert json.loads(said["kinegraph/bed/report/attributes"])["address"] == (folder / "report.html").as_uri()
-    told_of_it = {name: said[f"kinegraph/bed/{name}/state"] for name in ("night_asleep", "night_from", "night_to")}
-    assert abs(float(told_of_it["night_asleep"]) - facts.numbers["tst"]) <= 3, "the log has epochs from before the cuts"
-    assert told_of_it["night_from"] == utc(int(facts.numbers["onset"]))
+    assert topics["kinegraph/bed/report/state"].startswith("Asleep ")
+    assert json.loads(topics["kinegraph/bed/report/attributes"])["address"] == (folder / "report.html").as_uri()
+    reported = {name: topics[f"kinegraph/bed/{name}/state"] for name in ("night_asleep", "night_from", "night_to")}
+    assert abs(float(reported["night_asleep"]) - facts.numbers["tst"]) <= 3, "the log has epochs from before the cuts"
+    assert reported["night_from"] == utc(int(facts.numbers["onset"]))
 
     assert facts.closed and facts.numbers["tib"] > 60 and len(facts.breaks) == 2
     assert {"sleep", "wake"} <= set(epochs.texts["state"])

@@ -31,7 +31,7 @@ nodes:
 IN, MOVES = ((120.0, 2700.0),), (400.0, 1000.0, 1900.0, 2300.0)
 
 
-class CommandResult:
+class Reported:
     """What the graph says of a scene; epochs by their number."""
 
     def __init__(self, scene: Scene, regions: str = "[]", camera: str = "width: 256, height: 192, fps: 2") -> None:
@@ -53,9 +53,9 @@ class CommandResult:
 
 
 def test_a_plain_night_has_no_reasons() -> None:
-    told = CommandResult(Scene(3000, IN, moves=MOVES))
-    assert [str(e["what"]) for e in told.view] == ["steady"]
-    assert told.of(270, 2640) == ({"sleep"}, {""}) and [str(s) for s in told.presence["state"]][:3] == [
+    made = Reported(Scene(3000, IN, moves=MOVES))
+    assert [str(e["what"]) for e in made.view] == ["steady"]
+    assert made.of(270, 2640) == ({"sleep"}, {""}) and [str(s) for s in made.presence["state"]][:3] == [
         "out",
         "in",
         "out",
@@ -69,28 +69,28 @@ def test_a_plain_night_has_no_reasons() -> None:
     ),
 )
 def test_a_nudged_camera_is_noticed_and_the_bed_is_learned_again(shift_m: float, degrees: float, regions: str) -> None:
-    told = CommandResult(Scene(2700, IN, moves=MOVES, nudges=((1500, shift_m, degrees),)), regions)
-    assert [str(e["what"]) for e in told.view] == ["steady", "moved", "steady"]
-    assert abs(told.seconds(told.view)[1] - 1500) <= 5
-    assert abs(float(told.view["right"][1]) - shift_m * 256 * 0.78 / 2.4) <= 2.5, "pixels"
-    assert told.of(270, 1490) == ({"sleep"}, {""})
-    assert told.of(1500, 1620) == ({"unknown"}, {"camera"})
-    assert told.of(1710, 2640) == ({"sleep"}, {""}), "still sleep is sleep again, by the region and the noise of now"
-    assert int(told.regions["rows"][-1]) > 100
-    assert ("unknown", "camera") in [(str(e["state"]), str(e["why"])) for e in told.presence]
+    made = Reported(Scene(2700, IN, moves=MOVES, nudges=((1500, shift_m, degrees),)), regions)
+    assert [str(e["what"]) for e in made.view] == ["steady", "moved", "steady"]
+    assert abs(made.seconds(made.view)[1] - 1500) <= 5
+    assert abs(float(made.view["right"][1]) - shift_m * 256 * 0.78 / 2.4) <= 2.5, "pixels"
+    assert made.of(270, 1490) == ({"sleep"}, {""})
+    assert made.of(1500, 1620) == ({"unknown"}, {"camera"})
+    assert made.of(1710, 2640) == ({"sleep"}, {""}), "still sleep is sleep again, by the region and the noise of now"
+    assert int(made.regions["rows"][-1]) > 100
+    assert ("unknown", "camera") in [(str(e["state"]), str(e["why"])) for e in made.presence]
 
 
 def test_a_jump_too_far_to_follow_is_noticed_and_a_region_that_was_set_holds_no_more() -> None:
-    told = CommandResult(Scene(2400, IN, moves=MOVES, nudges=((1500, 0.7, 5.0),)), "[[16, 80, 160, 96]]")
-    assert [str(e["what"]) for e in told.view][:2] == ["steady", "moved"] and np.isnan(told.view["right"][1])
-    assert int(told.regions["rows"][-1]) == 0
-    assert told.of(1530, 2370) == ({"unknown"}, {"camera"})
+    made = Reported(Scene(2400, IN, moves=MOVES, nudges=((1500, 0.7, 5.0),)), "[[16, 80, 160, 96]]")
+    assert [str(e["what"]) for e in made.view][:2] == ["steady", "moved"] and np.isnan(made.view["right"][1])
+    assert int(made.regions["rows"][-1]) == 0
+    assert made.of(1530, 2370) == ({"unknown"}, {"camera"})
 
 
 @pytest.mark.nightly
 def test_noise_in_bed_of_more_than_three_times_the_empty_beds_is_learned() -> None:
-    told = CommandResult(Scene(3000, ((120.0, 3000.0),), moves=(400.0, 1000.0), coarse=((120.0, 3000.0),)))
-    assert told.of(1500, 2940) == ({"sleep"}, {""})
+    made = Reported(Scene(3000, ((120.0, 3000.0),), moves=(400.0, 1000.0), coarse=((120.0, 3000.0),)))
+    assert made.of(1500, 2940) == ({"sleep"}, {""})
 
 
 @pytest.mark.nightly
@@ -99,41 +99,39 @@ def test_people_beds_and_lamps_are_no_jump_of_the_view() -> None:
         1500, ((100, 1300),), partner=((300, 600),), standing=((50, 90), (700, 720), (800, 1000)), heap=((1300, 1500),),
         moves=(200, 300, 400), lamp=((750, 900),),
     )  # fmt: skip
-    assert [str(e["what"]) for e in CommandResult(scene).view] == ["steady"]
+    assert [str(e["what"]) for e in Reported(scene).view] == ["steady"]
 
 
 @pytest.mark.parametrize("noise", [0.2, 0.5, 5.0, 30.0])
 def test_a_lamp_on_the_bed_is_a_light_and_no_wake_however_strong(noise: float) -> None:
     camera = "width: 192, height: 144, fps: 1" if noise != 5.0 else "width: 256, height: 192, fps: 2"
-    told = CommandResult(Scene(2100, IN, moves=MOVES, lamp=((1500, 1860),), lamp_noise=noise), camera=camera)
-    states, why = told.of(1530, 1860)
+    made = Reported(Scene(2100, IN, moves=MOVES, lamp=((1500, 1860),), lamp_noise=noise), camera=camera)
+    states, why = made.of(1530, 1860)
     assert states <= {"unknown", "sleep"} and why == {"light"}
-    assert "wake" not in told.of(270, 1850)[0]
+    assert "wake" not in made.of(270, 1850)[0]
 
 
 def test_a_second_body_is_noticed_and_movement_with_it_is_nobodys() -> None:
-    told = CommandResult(
-        Scene(3000, IN, moves=MOVES, partner=((1200, 2100),), partner_moves=tuple(range(1210, 2100, 45)))
-    )
-    states, why = told.of(1260, 2070)
+    made = Reported(Scene(3000, IN, moves=MOVES, partner=((1200, 2100),), partner_moves=tuple(range(1210, 2100, 45))))
+    states, why = made.of(1260, 2070)
     assert "wake" not in states and "body" in why and why <= {"", "body"}
-    assert told.of(2190, 2640) == ({"sleep"}, {""})
+    assert made.of(2190, 2640) == ({"sleep"}, {""})
 
 
 def test_a_second_body_that_comes_two_minutes_after_the_sleeper_is_noticed() -> None:
     scene = Scene(2100, IN, moves=MOVES, partner=((240, 1500),), partner_moves=tuple(range(255, 1500, 45)))
-    told = CommandResult(scene, camera="width: 192, height: 144, fps: 1")
-    states, why = told.of(270, 1470)
+    made = Reported(scene, camera="width: 192, height: 144, fps: 1")
+    states, why = made.of(270, 1470)
     assert states <= {"sleep", "unknown"} and "body" in why and why <= {"", "body", "learning"}
-    assert told.of(1590, 2040) == ({"sleep"}, {""})
+    assert made.of(1590, 2040) == ({"sleep"}, {""})
 
 
 def test_in_the_epoch_in_which_a_second_body_arrives_movement_is_nobodys() -> None:
     moves = tuple(range(1456, 1480, 4))
     scene = Scene(1700, IN, moves=MOVES[:2], partner=((1452, 1650),), partner_moves=moves)
-    told = CommandResult(scene, camera="width: 192, height: 144, fps: 1")
-    assert told.of(1440, 1470) == ({"unknown"}, {"body"}), "the epoch in which it comes"
-    assert "wake" not in told.of(270, 1650)[0]
+    made = Reported(scene, camera="width: 192, height: 144, fps: 1")
+    assert made.of(1440, 1470) == ({"unknown"}, {"body"}), "the epoch in which it comes"
+    assert "wake" not in made.of(270, 1650)[0]
 
 
 CAME, LEFT = (1410.0, 2100.0), (900.0, 1410.0)
@@ -157,36 +155,36 @@ def test_a_second_body_is_noticed_across_power_cuts_and_nudges(
     scene = Scene(
         2850, ((120.0, 2850.0),), partner=(partner,), partner_moves=stirs, moves=(400.0, *bout), nudges=nudges, off=off
     )
-    told = CommandResult(scene, camera="width: 192, height: 144, fps: 1")
-    states = told.of(270, 2370)[0]
-    assert states == {"sleep", "unknown"}, f"{name}: the other's movement is nobody's"
-    why = told.of(max(partner[0], off[0][1] if off else 0) + 90, partner[1])[1]
+    made = Reported(scene, camera="width: 192, height: 144, fps: 1")
+    states = made.of(270, 2370)[0]
+    assert states == {"sleep", "unknown"}, f"{name}: the other's movement has no owner"
+    why = made.of(max(partner[0], off[0][1] if off else 0) + 90, partner[1])[1]
     assert "body" in why if partner[1] > 1500 else True
-    assert told.of(2430, 2550)[0] == {"wake"}, f"{name}: alone again"
-    assert told.of(2700, 2760)[0] == {"sleep"}
+    assert made.of(2430, 2550)[0] == {"wake"}, f"{name}: alone again"
+    assert made.of(2700, 2760)[0] == {"sleep"}
 
 
 @pytest.mark.nightly
 def test_a_heap_left_behind_is_unknown_after_ten_minutes_and_empty_after_45() -> None:
-    told = CommandResult(Scene(4200, ((120.0, 900.0),), heap=((900.0, 4200.0),), moves=(400.0, 880.0)))
+    made = Reported(Scene(4200, ((120.0, 900.0),), heap=((900.0, 4200.0),), moves=(400.0, 880.0)))
     begun, end = 900 + 10 * 60 + 90, 900 + 45 * 60 - 60
-    assert told.of(begun, end) == ({"unknown"}, {"still"})
-    assert told.of(900 + 45 * 60 + 180, 4100) == ({"wake"}, {""})
-    assert [(str(e["state"]), str(e["why"])) for e in told.presence][:4] == [
+    assert made.of(begun, end) == ({"unknown"}, {"still"})
+    assert made.of(900 + 45 * 60 + 180, 4100) == ({"wake"}, {""})
+    assert [(str(e["state"]), str(e["why"])) for e in made.presence][:4] == [
         ("out", ""), ("in", ""), ("unknown", "still"), ("out", ""),
     ]  # fmt: skip
 
 
 def test_a_region_that_is_too_large_says_so_instead_of_an_empty_bed_all_night() -> None:
-    told = CommandResult(Scene(2400, ((120.0, 2400.0),), moves=MOVES), "[[0, 0, 192, 256]]")
-    assert told.of(900, 2370) == ({"unknown"}, {"region"})
+    made = Reported(Scene(2400, ((120.0, 2400.0),), moves=MOVES), "[[0, 0, 192, 256]]")
+    assert made.of(900, 2370) == ({"unknown"}, {"region"})
 
 
 def test_a_night_that_darkens_is_unknown_because_it_is_dark() -> None:
-    told = CommandResult(Scene(2700, IN, moves=MOVES, dark=((1500, 2400),)))
-    assert told.of(1530, 2370) == ({"unknown"}, {"dark"})
-    assert told.of(270, 1490) == ({"sleep"}, {""})
-    assert [str(e["what"]) for e in told.view] == ["steady", "dark", "steady"]
+    made = Reported(Scene(2700, IN, moves=MOVES, dark=((1500, 2400),)))
+    assert made.of(1530, 2370) == ({"unknown"}, {"dark"})
+    assert made.of(270, 1490) == ({"sleep"}, {""})
+    assert [str(e["what"]) for e in made.view] == ["steady", "dark", "steady"]
 
 
 @pytest.mark.parametrize("right", [0.25, 0.5, 1.0, 2.25, -3.0])
@@ -208,7 +206,7 @@ def test_the_shift_is_measured_to_a_quarter_of_a_block(right: float) -> None:
 
 def test_who_is_in_bed_from_the_start_and_is_not_seen_to_breathe_is_unknown_and_not_out_of_bed() -> None:
     scene = Scene(2400, ((0.0, 1900.0),), moves=(900.0, 960.0, 1400.0, 1890.0), breath_mm=0.0)
-    told = CommandResult(scene)
-    assert told.of(60, 870) == ({"unknown"}, {"still"})
-    assert told.of(1110, 1860)[0] == {"sleep"}
-    assert [str(e["state"]) for e in told.presence][:3] == ["unknown", "in", "out"]
+    made = Reported(scene)
+    assert made.of(60, 870) == ({"unknown"}, {"still"})
+    assert made.of(1110, 1860)[0] == {"sleep"}
+    assert [str(e["state"]) for e in made.presence][:3] == ["unknown", "in", "out"]

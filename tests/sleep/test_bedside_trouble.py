@@ -73,8 +73,8 @@ def test_of_epochs_that_were_hardly_seen_nothing_is_said() -> None:
     run, made = held(f"bed_h: 0.9, seed: 1, {lost_every_minute(20)}")
     at, events = finals(run)
     lost = np.isin(at % 60, 0 if (START // NS) % 60 == 0 else 30) & (at >= 60) & (at < 58 * 60)
-    told = {str(state) for state in events["state"][lost]}
-    assert np.isnan(events["activity"][lost]).all() and told == {"unknown"}, "10 of 30 s were seen"
+    states = {str(state) for state in events["state"][lost]}
+    assert np.isnan(events["activity"][lost]).all() and states == {"unknown"}, "10 of 30 s were seen"
     assert made.unknown >= 50 and made.agreed >= 0.85
 
 
@@ -104,7 +104,7 @@ def test_usb_that_fails_every_minute_is_opened_every_time_and_no_epoch_is_lost(
     assert set(np.diff(epochs.onset)) == {30 * NS} and (epochs.texts["state"] == "unknown").sum() <= 6
     assert 0.8 < np.nanmin(epochs.numbers["seen"][1:-1]) < 0.9 and facts.closed
     bed = epochs.texts["bed"]
-    assert (bed[: int((facts.numbers["end"] - epochs.onset[0]) / NS / 30)] == "in").all(), "nobody left the bed"
+    assert (bed[: int((facts.numbers["end"] - epochs.onset[0]) / NS / 30)] == "in").all(), "the bed was left"
 
 
 @pytest.mark.nightly
@@ -156,7 +156,7 @@ def test_a_camera_that_starts_in_the_middle_of_the_night_tells_what_it_saw() -> 
     made = graph(source, regions="[[6, 45, 108, 70]]")
     run = Run(made, ("scorer", "presence"), START + round(late_s * NS)).run()
     at, events = finals(run)
-    assert at[0] == late_s // EPOCH_S * EPOCH_S, "nothing is said of the time before"
+    assert at[0] == late_s // EPOCH_S * EPOCH_S, "no report of the time before"
     assert "unknown" in events["state"][:4] and (events["state"][8:60] != "unknown").all()
     bed = [(str(e["state"]), round((int(e["onset"]) - START) / NS)) for e in run["presence"]]
     assert [state for state, _ in bed] == ["in", "out", "unknown"] and bed[0][1] >= late_s

@@ -72,10 +72,10 @@ def test_frames_half_a_second_apart_are_compared_at_any_rate() -> None:
     assert len(gaps) == 17
 
 
-def lost_looks(looks: list[int], step_ns: int, told: int, *, every: int) -> int:
+def lost_looks(looks: list[int], step_ns: int, gone_before: int, *, every: int) -> int:
     """How many looks are lost between two: those that were due more than half a step before the second; by counting."""
     if every == 1:
-        return told
+        return gone_before
     due, count = looks[0] + step_ns, 0
     while due + step_ns // 2 < looks[1]:
         due, count = due + step_ns, count + 1
@@ -90,14 +90,14 @@ def test_after_a_gap_the_looks_that_are_lost_are_told(step_s: float, gone: int, 
     operator = Motion(step_s=step_s, longest_gap_s=0.1)
     operator.open({"frames": SPEC})
     there = np.r_[0:13, 13 + gone : 60]
-    frames, time, told = noisy(60)[there], grid(10.0, 60)[there], gone if known else -1
+    frames, time, gone_before = noisy(60)[there], grid(10.0, 60)[there], gone if known else -1
     made = []
-    for part, lost in ((slice(0, 13), 0), (slice(13, None), told)):
+    for part, lost in ((slice(0, 13), 0), (slice(13, None), gone_before)):
         emitted = operator.process("frames", Chunk(time[part], frames[part], int(time[part][-1]), lost))
         made.append(next(chunk for port, chunk in emitted if port == "out"))
     looks = [int(made[0].time[-1]), int(made[1].time[0])]
     every = 5 if step_s else 1
-    assert made[0].lost == 0 and made[1].lost == lost_looks(looks, every * NS // 10, told, every=every)
+    assert made[0].lost == 0 and made[1].lost == lost_looks(looks, every * NS // 10, gone_before, every=every)
 
 
 def test_flickering_pixels_are_no_movement() -> None:

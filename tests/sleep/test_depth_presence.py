@@ -47,7 +47,7 @@ def presence(time: Array, depth: Array, **parameters: float) -> dict[str, Array]
     return play(Presence(**parameters), regions=rectangle, blocks=(blocks_spec(ROWS, COLUMNS, RATE), time, depth))
 
 
-def told(events: Array, time: Array) -> list[tuple[str, int]]:
+def states(events: Array, time: Array) -> list[tuple[str, int]]:
     """State and onset in whole seconds since the beginning."""
     return [(str(e["state"]), round((int(e["onset"]) - int(time[0])) / NS)) for e in events]
 
@@ -55,7 +55,7 @@ def told(events: Array, time: Array) -> list[tuple[str, int]]:
 def test_who_lies_still_is_in_bed_and_leaves_it_when_leaving_it() -> None:
     time, depth = bedroom(900, (200, 500), (560, 800))
     made = presence(time, depth)
-    assert told(made["out"], time) == [
+    assert states(made["out"], time) == [
         ("out", 0),
         ("in", 200),
         ("out", 500),
@@ -70,31 +70,31 @@ def test_who_lies_still_is_in_bed_and_leaves_it_when_leaving_it() -> None:
 def test_still_sleep_without_visible_breath_is_not_an_empty_bed() -> None:
     time, depth = bedroom(3000, (200, 2900), breath_mm=0.0)
     made = presence(time, depth, unsure_min=0.0)["out"]
-    assert told(made, time) == [("out", 0), ("in", 200), ("out", 2900), ("unknown", 3000)]
+    assert states(made, time) == [("out", 0), ("in", 200), ("out", 2900), ("unknown", 3000)]
     unsure = presence(time, depth)["out"]
-    assert [state for state, _ in told(unsure, time)] == ["out", "in", "unknown", "out", "unknown"]
-    assert unsure["why"].tolist() == ["", "", "still", "", "unseen"] and told(unsure, time)[3][1] == 2900
-    vacant = told(presence(time, depth, vacant_min=30.0)["out"], time)
+    assert [state for state, _ in states(unsure, time)] == ["out", "in", "unknown", "out", "unknown"]
+    assert unsure["why"].tolist() == ["", "", "still", "", "unseen"] and states(unsure, time)[3][1] == 2900
+    vacant = states(presence(time, depth, vacant_min=30.0)["out"], time)
     assert vacant[:2] == [("out", 0), ("in", 200)] and vacant[3][0] == "out" and vacant[3][1] < 2200
 
 
 def test_a_breathing_sleeper_is_never_taken_for_the_empty_bed() -> None:
     """Somebody is in bed when the camera starts."""
     time, depth = bedroom(1500, (0, 800))
-    made = told(presence(time, depth)["out"], time)
+    made = states(presence(time, depth)["out"], time)
     assert made[0] == ("in", 0) and made[1][0] == "out" and 800 <= made[1][1] <= 870
     time, depth = bedroom(1800, (0, 400), (1300, 1600))
-    assert told(presence(time, depth)["out"], time)[2:4] == [("in", 1300), ("out", 1600)]
+    assert states(presence(time, depth)["out"], time)[2:4] == [("in", 1300), ("out", 1600)]
 
 
 def test_a_body_that_does_not_stir_from_the_start_on_is_not_learned_as_the_empty_bed() -> None:
     time, depth = bedroom(2400, (0, 1500), breath_mm=0.0)
     depth[np.ix_((time - time[0] > 900 * NS) & (time - time[0] < 905 * NS), [4, 5, 6], [8, 9, 10])] -= 90.0
     made = presence(time, depth)["out"]
-    assert [(s, t) for s, t in told(made, time)][:2] == [("unknown", 0), ("in", 900)]
-    assert made["why"][0] == "still" and told(made, time)[2][0] == "out" and 1500 <= told(made, time)[2][1] < 1800
+    assert [(s, t) for s, t in states(made, time)][:2] == [("unknown", 0), ("in", 900)]
+    assert made["why"][0] == "still" and states(made, time)[2][0] == "out" and 1500 <= states(made, time)[2][1] < 1800
     never = presence(time, bedroom(3600, (0, 3600), breath_mm=0.0)[1][: len(time)], vacant_min=30.0)["out"]
-    assert told(never, time)[:2] == [("unknown", 0), ("out", 0)], "after `vacant_min` it is a heap"
+    assert states(never, time)[:2] == [("unknown", 0), ("out", 0)], "after `vacant_min` it is a heap"
 
 
 @pytest.mark.parametrize("tilt", [0.0, 12.0])
@@ -103,14 +103,14 @@ def test_pillows_and_a_tilted_camera_leave_an_empty_bed_empty_at_once(tilt: floa
     depth[:, 1:5, 7:13] -= 140.0
     depth[:, 12:14, 6:14] -= 120.0  # a folded blanket
     room = 1 / (1 / depth[0, 6, 7] + 1e-6 * tilt * (np.arange(ROWS)[:, None] - 7 + 0 * np.arange(COLUMNS)))
-    made = told(presence(time, depth + room - room[7, 7])["out"], time)
+    made = states(presence(time, depth + room - room[7, 7])["out"], time)
     assert made[0] == ("out", 0)
 
 
 def test_a_heap_of_blankets_does_not_stay_in_bed_for_ever() -> None:
     time, depth = bedroom(3600, (200, 400))
     depth[time - time[0] > 400 * NS, 9:13, 7:13] -= 250.0
-    made = told(presence(time, depth, vacant_min=20.0)["out"], time)
+    made = states(presence(time, depth, vacant_min=20.0)["out"], time)
     assert [state for state, _ in made] == ["out", "in", "unknown", "out", "unknown"] and made[3][1] < 500
 
 
@@ -118,7 +118,7 @@ def test_blocks_that_tremble_at_an_edge_neither_move_nor_breathe() -> None:
     """A block of floor and bed: its mean depends on which of its pixels are measured in a frame."""
     time, depth = bedroom(900, (200, 800))
     depth[:, 1:14, 6] = np.random.default_rng(9).normal(2320.0, 9.0, (len(time), 13))
-    assert told(presence(time, depth)["out"], time) == [("out", 0), ("in", 200), ("out", 800), ("unknown", 900)]
+    assert states(presence(time, depth)["out"], time) == [("out", 0), ("in", 200), ("out", 800), ("unknown", 900)]
     rates = breaths(depth, time)["rate"][8:26]
     assert (np.abs(rates - 13.8) < 0.6).all()
 
@@ -126,10 +126,10 @@ def test_blocks_that_tremble_at_an_edge_neither_move_nor_breathe() -> None:
 def test_unseen_is_unknown_and_decided_again_when_seen() -> None:
     time, depth = bedroom(900, (200, 700))
     depth[1200:1600] = np.nan
-    made = told(presence(time, depth)["out"], time)
+    made = states(presence(time, depth)["out"], time)
     assert made == [("out", 0), ("in", 200), ("unknown", 300), ("in", 400), ("out", 700), ("unknown", 900)]
     there = (np.arange(len(time)) < 1200) | (np.arange(len(time)) >= 1600)
-    assert told(presence(time[there], depth[there])["out"], time) == made
+    assert states(presence(time[there], depth[there])["out"], time) == made
     nothing = presence(time, np.full_like(depth, np.nan))
     assert not len(nothing["out"]) and np.isnan(nothing["height"]).all()
 
@@ -206,7 +206,7 @@ def test_out_of_bed_is_awake_unknown_is_unknown_and_unseen_is_unseen() -> None:
     assert made["epochs"]["bed"][[1, 10, 20, 26]].tolist() == ["out", "in", "unknown", "out"]
     assert made["epochs"]["seen"][[15, 16, 18]] == pytest.approx([1 / 3, 2 / 3, 1.0])
     unknown = active(x, [])
-    assert np.isnan(unknown["out"]).all(), "nobody knows whether anybody is in bed"
+    assert np.isnan(unknown["out"]).all(), "the bed's state is unknown"
 
 
 @pytest.mark.parametrize("comes", [True, False])

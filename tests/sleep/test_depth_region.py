@@ -39,14 +39,14 @@ def test_the_whole_frame_unless_told_otherwise() -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("parameters", "message"),
     [
         ({"row": 20}, "row is 20; it must be below 20"),
         ({"column": 25, "columns": 6}, "columns is 6; it must be at most 5"),
     ],
 )
-def test_a_region_lies_in_the_frame(parameters: dict[str, int], told: str) -> None:
-    with pytest.raises(ParameterError, match=told):
+def test_a_region_lies_in_the_frame(parameters: dict[str, int], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         RegionDepth(**parameters).open({"in": SPEC})
 
 

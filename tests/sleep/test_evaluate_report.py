@@ -1,4 +1,4 @@
-"""The report of a validation: made-up nights whose figures are known by hand, and what it must not pretend to know."""
+"""The report of a validation: made-up nights with figures computed by hand, and what it must leave open."""
 
 from __future__ import annotations
 
@@ -68,19 +68,19 @@ def test_spread_trend_and_normality() -> None:
 
 
 def test_the_checklist_has_the_known_figures() -> None:
-    told = answers([night(str(k), f"P{k}", late) for k, late in enumerate((0, 4, 8, 12))], device="a camera")
-    assert told["nights and persons"] == "4 nights of 4 persons, 1 to 1 each"
-    assert told["one epoch length on both sides"] == "30 s"
-    assert told["the same time in bed on both sides"] == "100.0 (0.0) min"
-    assert told["error matrix, epochs"] == "sleep as sleep 616, sleep as wake 24, wake as wake 160, wake as sleep 0"
-    assert told["bias, with 95 % intervals"].startswith("TST -3.0 min (-7.1 to 1.1); SE -3.0 %")
+    answer = answers([night(str(k), f"P{k}", late) for k, late in enumerate((0, 4, 8, 12))], device="a camera")
+    assert answer["nights and persons"] == "4 nights of 4 persons, 1 to 1 each"
+    assert answer["one epoch length on both sides"] == "30 s"
+    assert answer["the same time in bed on both sides"] == "100.0 (0.0) min"
+    assert answer["error matrix, epochs"] == "sleep as sleep 616, sleep as wake 24, wake as wake 160, wake as sleep 0"
+    assert answer["bias, with 95 % intervals"].startswith("TST -3.0 min (-7.1 to 1.1); SE -3.0 %")
     sd = np.std([0, 2, 4, 6], ddof=1)
-    assert f"TST {-3 - 1.95996 * sd:.1f} (" in told["limits of agreement, with 95 % intervals"]
-    assert told["error matrix, shares"].startswith(
+    assert f"TST {-3 - 1.95996 * sd:.1f} (" in answer["limits of agreement, with 95 % intervals"]
+    assert answer["error matrix, shares"].startswith(
         "sensitivity 0.962 (0.032), 0.911 to 1.014; specificity 1.000 (0.000)"
     )
-    assert told["does the bias depend on the size"] == NOT_GIVEN, "the reference's nights are all alike"
-    assert told[STUDY["device"]] == "a camera" and told[STUDY["sample"]] == NOT_GIVEN
+    assert answer["does the bias depend on the size"] == NOT_GIVEN, "the reference's nights are all alike"
+    assert answer[STUDY["device"]] == "a camera" and answer[STUDY["sample"]] == NOT_GIVEN
 
 
 def test_a_bias_that_grows_with_the_size_is_told() -> None:
@@ -88,23 +88,23 @@ def test_a_bias_that_grows_with_the_size_is_told() -> None:
     for k, n in enumerate((100, 140, 180, 220, 260)):
         truth = states((WAKE, 20), (SLEEP, n), (WAKE, 20))
         pairs.append(pair(str(k), f"P{k}", states((WAKE, 20 + n // 10), (SLEEP, n - n // 10), (WAKE, 20)), truth))
-    told = answers(pairs)["does the bias depend on the size"].split("; ")[0]
-    assert told == "TST: 0.00 - 0.100 x reference, slope -0.100 to -0.100: it does" or told.startswith(
+    answer = answers(pairs)["does the bias depend on the size"].split("; ")[0]
+    assert answer == "TST: 0.00 - 0.100 x reference, slope -0.100 to -0.100: it does" or answer.startswith(
         "TST: -0.00 - 0.100"
     )
 
 
 def test_one_night_answers_little_and_says_so() -> None:
-    told = answers([night("1", "A", 10)])
+    answer = answers([night("1", "A", 10)])
     for item in ("limits of agreement, with 95 % intervals", "does the bias depend on the size", "does the spread depend on the size",
                  "are the differences normal", "stages of sleep", "ROC curve", *STUDY.values()):  # fmt: skip
-        assert told[item] == NOT_GIVEN, item
-    assert told["bias, with 95 % intervals"] == "TST -5.0 min; SE -5.0 %; SOL 5.0 min; WASO 0.0 min"
+        assert answer[item] == NOT_GIVEN, item
+    assert answer["bias, with 95 % intervals"] == "TST -5.0 min; SE -5.0 %; SOL 5.0 min; WASO 0.0 min"
 
 
 def test_a_night_without_sleep_has_no_sol_and_breaks_nothing() -> None:
-    told = answers([pair("1", "A", states((WAKE, 200)), TRUTH), night("2", "B", 4)])
-    assert "SOL 2.0 min" in told["bias, with 95 % intervals"]
+    answer = answers([pair("1", "A", states((WAKE, 200)), TRUTH), night("2", "B", 4)])
+    assert "SOL 2.0 min" in answer["bias, with 95 % intervals"]
 
 
 def write(path: Path, counts: list[tuple[str, int]]) -> None:
@@ -140,12 +140,12 @@ def test_the_command_writes_page_and_tables(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    ("text", "told"), [("devise,x", "'devise' is none of device, "), ("device,x\ndevice,y", "line 3.*twice")]
+    ("text", "message"), [("devise,x", "'devise' must be one of device, "), ("device,x\ndevice,y", "line 3.*twice")]
 )
-def test_a_study_that_answers_nothing_that_was_asked(tmp_path: Path, text: str, told: str) -> None:
+def test_a_study_that_answers_nothing_that_was_asked(tmp_path: Path, text: str, message: str) -> None:
     write(tmp_path / "a.csv", [("W", 20), ("N2", 20)])
     (tmp_path / "study.csv").write_text(f"item,answer\n{text}\n")
-    with pytest.raises(KinegraphError, match=told):
+    with pytest.raises(KinegraphError, match=message):
         evaluate(tmp_path / "a.csv", tmp_path / "a.csv", report=tmp_path / "out", study=tmp_path / "study.csv")
     with pytest.raises(KinegraphError, match="--report names its folder"):
         evaluate(tmp_path / "a.csv", tmp_path / "a.csv", study=tmp_path / "study.csv")

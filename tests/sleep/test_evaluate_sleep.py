@@ -148,9 +148,9 @@ def test_epochs_that_never_both_know_are_not_called_apart() -> None:
         pair("n", "p", estimate, hypnogram(truth[:10]))
 
 
-@pytest.mark.parametrize(("night", "told"), [("night.csv", "--offset -3600"), ("night.edf", "")])
+@pytest.mark.parametrize(("night", "warning"), [("night.csv", "--offset -3600"), ("night.edf", "")])
 def test_a_clock_without_a_zone_beside_one_with(
-    tmp_path: Path, night: str, told: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, night: str, warning: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A laboratory's EDF goes by the clock on its wall; our table by UTC, our EDF by the wall's clock, too."""
     stages = np.repeat([0, 2, 0], [20, 200, 20])
@@ -158,7 +158,7 @@ def test_a_clock_without_a_zone_beside_one_with(
     write_edf(tmp_path / "night.edf", stages)
     write_csv(tmp_path / "night.csv", [STAGES[int(s)] for s in stages])
     evaluate(tmp_path / night, tmp_path / "psg.edf")
-    assert told in (warned := capsys.readouterr().err) and bool(told) == bool(warned)
+    assert warning in (warned := capsys.readouterr().err) and bool(warning) == bool(warned)
 
 
 def test_an_edf_file_that_breaks_off(tmp_path: Path) -> None:
@@ -179,10 +179,10 @@ def test_thirty_one_real_hypnograms_against_a_spoilt_copy(tmp_path: Path, capsys
         stages = data[f"{name}_stage"]
         write_edf(tmp_path / f"{name}.edf", np.where(stages == 4, 3, stages))
         asleep = stages > 0
-        told = asleep.copy()
-        told[np.flatnonzero(stages == 0)[::10]] = True
-        told[np.flatnonzero(asleep)[::20]] = False
-        write_csv(tmp_path / f"{name}.csv", np.where(told, "sleep", "wake").tolist())
+        estimate = asleep.copy()
+        estimate[np.flatnonzero(stages == 0)[::10]] = True
+        estimate[np.flatnonzero(asleep)[::20]] = False
+        write_csv(tmp_path / f"{name}.csv", np.where(estimate, "sleep", "wake").tolist())
         lines.append(f"{name}.csv,{name}.edf,P{k // 2}")
         wakes += (stages == 0).sum()
         sleeps += asleep.sum()
@@ -222,7 +222,7 @@ def test_the_command_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "told"),
+    ("name", "text", "message"),
     [
         ("a.csv", "", "header is empty"),
         ("a.csv", "x,y\n1,2\n", "must name"),
@@ -232,9 +232,9 @@ def test_the_command_line(tmp_path: Path) -> None:
         ("a.mcap", "no recording", "a.mcap"),
     ],
 )
-def test_files_that_are_none(tmp_path: Path, name: str, text: str, told: str) -> None:
+def test_files_that_are_none(tmp_path: Path, name: str, text: str, message: str) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(KinegraphError, match=told):
+    with pytest.raises(KinegraphError, match=message):
         read_hypnogram(tmp_path / name)
 
 

@@ -85,12 +85,12 @@ def check_report(lived: Lived) -> Rows:
     in_bed = [row for row in rows if begin <= (float(row["onset"]) + float(row["end"])) / 2 < end]
     page = (folder / "report.html").read_text()
     assert "Could not be made" not in page
-    told = {
+    states = {
         unescape(name): unescape(value)
         for name, value in re.findall(r'<tr><td>([^<]*)<small>[^<]*</small></td><td class="num"><b>([^<]*)</b>', page)
     }
     wanted = expected(in_bed)
-    assert {name: told.get(name) for name in wanted} == wanted
+    assert {name: states.get(name) for name in wanted} == wanted
 
     # one clock for all times: that of the night's beginning
     zone = timezone(datetime.fromtimestamp(facts["begun"] / NS, ZoneInfo(lived.night.zone)).utcoffset() or timedelta())
@@ -113,17 +113,17 @@ def edf(folder: Path, rows: Rows, zone: timezone) -> None:
     names = {"Sleep stage S": "sleep", "Sleep stage W": "wake", "Sleep stage ?": "unknown"}
     file = edfio.read_edf(folder / "hypnogram.edf")
     begun = datetime.combine(file.startdate, file.starttime, zone).timestamp()
-    told = {
+    states = {
         begun + note.onset + 30.0 * k: names[note.text]
         for note in file.annotations
         if note.text in names
         for k in range(round((note.duration or 0.0) / 30.0))
     }
-    assert [told[float(row["onset"])] for row in rows] == [row["state"] for row in rows]
+    assert [states[float(row["onset"])] for row in rows] == [row["state"] for row in rows]
 
 
 def check_scores(lived: Lived, rows: Rows) -> None:
-    """What nobody could see is unknown; and light, a partner or a nudge make nobody awake who lies still."""
+    """What is out of view is unknown; light, a partner or a nudge do not score a still sleeper as awake."""
     scene, begun = lived.night.scene, lived.night.begun / NS
     blind = [(begun + a, begun + b) for a, b in scene.dark]
     blind += [(begun + at, begun + at + 30) for at, *_ in scene.nudges]

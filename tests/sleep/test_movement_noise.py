@@ -10,7 +10,7 @@ from kinegraph.operators.bed.sleeper_activity import WHYS, ActivityLimits, Sleep
 
 
 def learned(levels: list[float], scatter: float = 0.1) -> Noise:
-    """Epochs with these medians, whose lowest tenth lies `scatter` standard deviations below; the second channel learns none."""
+    """Epochs with these medians, and a lowest tenth `scatter` standard deviations below; the second channel learns nothing."""
     noise = Noise.of(2)
     for level in levels:
         noise.learn(0, level + scatter * DECILE * np.linspace(-1.25, 1.25, 101))

@@ -39,16 +39,16 @@ def night(zone: str, evening: str, minutes: int = 340) -> tuple[archive.Facts, a
     onset = begun + np.arange(n) * STEP
     states = np.full(n, "sleep", "U7")
     states[500:520] = "unknown"
-    texts = {"state": states, "bed": np.full(n, "in"), "provisional": states}
+    texts = {"state": states, "bed": np.full(n, "in"), "provisional": states, "cause": np.full(n, "")}
     numbers = {name: np.full(n, 0.5) for name in archive.COLUMNS[2:] if name not in archive.TEXTS}
     facts = archive.Facts("n", begun, 30.0, zone, closed=True)
-    told = dict.fromkeys(
+    each = dict.fromkeys(
         ("tst", "tst_low", "tst_high", "sol", "sol_low", "sol_high", "waso", "waso_low", "waso_high", "mean_awakening"), 5.0
     )  # fmt: skip
     more = dict.fromkeys(("se", "se_low", "se_high", "movement", "fragmentation", "longest_bout"), 50.0)
     facts.numbers = {
         "onset": begun, "end": begun + n * STEP, "tib": minutes, "convention": "AASM", "bed": "detected", "estimated": True,
-        "awakenings": 1, **told, **more,
+        "awakenings": 1, **each, **more,
     }  # fmt: skip
     return facts, archive.LoggedEpochs(onset, onset + STEP, texts, numbers)
 

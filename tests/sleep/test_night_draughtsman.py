@@ -1,4 +1,4 @@
-"""A report that cannot be drawn: tried again a few times, said twice, and once more when the session ends."""
+"""A report that cannot be drawn: tried again a few times, reported twice, and once more when the session ends."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ def look_for(hours: float, works: ReportRenderer, clock: list[float]) -> list[st
 def test_a_failing_report_is_tried_a_few_times_and_told_twice(tmp_path: Path, clock: list[float]) -> None:
     works = ReportRenderer()
     works.soon(tmp_path)
-    told = look_for(24, works, clock)
+    warned = look_for(24, works, clock)
     assert Failing.started == 1 + len(renderer.AGAIN_S)
-    assert told == ["report incomplete; it is tried again a few times", "report postponed until the session ends"]
+    assert warned == ["report incomplete; it is tried again a few times", "report postponed until the session ends"]
     with pytest.raises(DeviceError, match=r"no such font.*kinegraph sleep nights report"):
         works.finish()
     assert Failing.started == 2 + len(renderer.AGAIN_S), "once more at the end"

@@ -79,8 +79,8 @@ def test_the_report_says_what_must_be_said(drawn: tuple[Path, Night]) -> None:
     assert rows["Total sleep time (TST)"].bounds and rows["Bed exits"].value == "1"
     (left,) = exits(facts)
     assert left.begin == night.onset(night.exit[0]) and left.end == night.onset(night.exit[-1] + 1)
-    told = dict(quality(facts, epochs))
-    assert "20 unknown" in told["Epochs"] and "(10 min)" in told["Not scored"]
+    facts_shown = dict(quality(facts, epochs))
+    assert "20 unknown" in facts_shown["Epochs"] and "(10 min)" in facts_shown["Not scored"]
 
 
 def test_edf_opens_in_other_programs(drawn: tuple[Path, Night]) -> None:
@@ -141,9 +141,9 @@ def test_the_report_of_a_night_that_goes_on(tmp_path: Path) -> None:
     assert "broken off" in (page := render(facts, epochs, None, [])) and "not over" not in page
 
 
-@pytest.mark.parametrize(("dark", "told"), [(None, True), (30, True), (100, True), (270, False)])
+@pytest.mark.parametrize(("dark", "whole"), [(None, True), (30, True), (100, True), (270, False)])
 def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
-    tmp_path: Path, dark: int | None, told: bool
+    tmp_path: Path, dark: int | None, whole: bool
 ) -> None:
     """kinegraph was stopped in order and started again; who was in bed is noticed three minutes later. `dark`: lights off at this epoch."""
     night, switched = Night(), SPECS["lights"].dtype
@@ -155,7 +155,7 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
         feed(log, night.chunks(begin, cut))
         if cut < end:
             log.process("lights", night_made.event(switched, night.onset(cut), False))
-        if begin and dark and dark < begin:  # what the switch had been is said again
+        if begin and dark and dark < begin:  # what the switch had been is reported again
             log.process("lights", night_made.event(switched, night.onset(begin), False))
         feed(log, night.chunks(cut, end))
         if begin:
@@ -167,19 +167,19 @@ def test_numbers_of_a_new_session_do_not_pass_for_those_of_the_night(
         log.close()
     ((folder, facts),) = archive.nights(tmp_path)
     epochs = archive.read_epochs(folder)
-    assert bool(begun_after(facts, epochs)) == told == ("Numbers" in dict(quality(facts, epochs)))
+    assert bool(begun_after(facts, epochs)) == whole == ("Numbers" in dict(quality(facts, epochs)))
     assert [what for _, what in facts.switched] == (["lights off"] if dark else [])
     if dark == 30:
         assert facts.switched == [[night.onset(30), "lights off"]]  # just before anybody was in bed
         facts.switched, facts.numbers["onset"] = [], night.onset(257)  # the switch says what it had been before
         assert begun_after(facts, epochs)
-    assert ("of a night that began at 23:20" in render(facts, epochs, None, [])) == told
-    assert span(facts, epochs)[0] == (facts.begun if told else night.onset(270) - 15 * 60 * NS)
+    assert ("of a night that began at 23:20" in render(facts, epochs, None, [])) == whole
+    assert span(facts, epochs)[0] == (facts.begun if whole else night.onset(270) - 15 * 60 * NS)
 
 
 def test_the_facts_are_plain_json(drawn: tuple[Path, Night]) -> None:
-    told = json.loads((drawn[0] / archive.FACTS).read_text())
-    assert told["begun"] == EVENING + 40 * STEP and told["numbers"]["convention"] == "AASM"
+    facts_shown = json.loads((drawn[0] / archive.FACTS).read_text())
+    assert facts_shown["begun"] == EVENING + 40 * STEP and facts_shown["numbers"]["convention"] == "AASM"
 
 
 # every product by itself ---------------------------------------------------------------------------------------------
@@ -255,8 +255,11 @@ def test_the_report_says_when_the_camera_was_moved_and_why_epochs_are_unknown(tm
     folder = tmp_path / "2025-12-31"
     facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
     assert facts.moved == [[night.onset(200), 0.0, 6.0]]
-    told = dict(quality(facts, epochs))
-    assert told["The camera was moved"] == "at 00:40" and told["Not judged because"] == "too little was seen: 20 epochs"
+    facts_shown = dict(quality(facts, epochs))
+    assert (
+        facts_shown["The camera was moved"] == "at 00:40"
+        and facts_shown["Not judged because"] == "too little was seen: 20 epochs"
+    )
     assert "The camera was moved" in render(facts, epochs, None, [])
 
 

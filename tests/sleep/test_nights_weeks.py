@@ -1,4 +1,4 @@
-"""Weeks: naps told from nights, missing nights shown, trends by hand, periods compared, all of it as a table and a page."""
+"""Weeks: naps kept apart from nights, missing nights shown, trends by hand, periods compared, all of it as a table and a page."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_the_command_reports_compares_and_exports(kinegraph: Command, fortnight:
 
 
 @pytest.mark.parametrize(
-    ("more", "told"),
+    ("more", "message"),
     [
         (["--compare", "2026-11-02..2026-11-08"], "twice"),
         (["--compare", "x..y", "--compare", "x..y"], "not a date"),
@@ -170,16 +170,16 @@ def test_the_command_reports_compares_and_exports(kinegraph: Command, fortnight:
         (["--since", "2030-01-01"], "no nights"),
     ],
 )
-def test_what_cannot_be_asked_is_told(kinegraph: Command, fortnight: Path, more: list[str], told: str) -> None:
-    refused(kinegraph("sleep", "nights", "weeks", "--path", fortnight, *more), told)
+def test_what_cannot_be_asked_is_refused(kinegraph: Command, fortnight: Path, more: list[str], message: str) -> None:
+    refused(kinegraph("sleep", "nights", "weeks", "--path", fortnight, *more), message)
 
 
 def test_a_night_that_is_left_out_of_the_weeks_is_named(kinegraph: Command, tmp_path: Path, fortnight: Path) -> None:
     (fortnight / "2026-11-03" / "epochs.csv").write_text("onset\nnonsense\n")
     (fortnight / "2026-11-04" / "night.json").write_text("{")
     code, out, err = kinegraph("sleep", "nights", "weeks", "--path", fortnight, "-o", tmp_path / "out")
-    told = [line for line in (out + err).splitlines() if "left out" in line]
-    assert code == 0 and len(told) == 2 and all(f"2026-11-{day}" in "".join(told) for day in ("03", "04"))
+    shown = [line for line in (out + err).splitlines() if "left out" in line]
+    assert code == 0 and len(shown) == 2 and all(f"2026-11-{day}" in "".join(shown) for day in ("03", "04"))
 
 
 def test_two_sleepers_nights_are_not_mixed(kinegraph: Command, tmp_path: Path) -> None:
@@ -192,11 +192,11 @@ def test_two_sleepers_nights_are_not_mixed(kinegraph: Command, tmp_path: Path) -
 def test_a_sentence_for_whoever_slept_stands_on_top(tmp_path: Path) -> None:
     folder = logged(tmp_path, "2026-11-02T23:05", "wssswssssssssss?")
     facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
-    told = "Asleep 6 h 30 min, awake 1 h 00 min in two stretches; in bed 23:05 to 07:05; 30 min not known."
-    assert sentence(facts, epochs) == told
+    shown = "Asleep 6 h 30 min, awake 1 h 00 min in two stretches; in bed 23:05 to 07:05; 30 min not known."
+    assert sentence(facts, epochs) == shown
     assert headline(facts) == "Asleep 6 h 30 min, 81 % of the time, 23:05 to 07:05" and len(headline(facts)) <= 60
     page = draw(folder).read_text()
-    assert page.index(told) < page.index("Total sleep time") and f'content="{headline(facts)}"' in page
+    assert page.index(shown) < page.index("Total sleep time") and f'content="{headline(facts)}"' in page
 
 
 def test_the_page_of_a_single_night_is_drawn(tmp_path: Path) -> None:

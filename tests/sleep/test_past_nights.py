@@ -60,18 +60,18 @@ def test_every_night_and_every_week_once_and_again_what_changes(fortnight: Path)
 
 
 def test_a_night_that_cannot_be_read_is_told_of_once(fortnight: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def told() -> list[str]:
+    def warnings() -> list[str]:
         return [line for line in capsys.readouterr().out.splitlines() if "left out" in line]
 
     nights = NightsFolder(fortnight, "", 100)
     (fortnight / "2026-11-03" / "epochs.csv").write_text("onset\nnonsense\n")
     (fortnight / "2026-11-04" / "night.json").write_text("{")
     (fortnight / "2026-11-05" / "night.json").unlink()
-    assert len(nights.look()["out"]) == 11 and not told(), "a night that has just begun may not be whole yet"
+    assert len(nights.look()["out"]) == 11 and not warnings(), "a night that has just begun may not be whole yet"
     nights.look()
-    assert [day for line in told() for day in ("03", "04", "05") if f"2026-11-{day}" in line] == ["03", "04", "05"]
+    assert [day for line in warnings() for day in ("03", "04", "05") if f"2026-11-{day}" in line] == ["03", "04", "05"]
     nights.look()
-    assert not told()
+    assert not warnings()
 
 
 def test_other_sleepers_older_nights_and_damaged_ones_are_left_out(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def drawn(browser: LiveBrowser, evenings: int) -> None:
     sleep, wake = (np.array(browser.like(".weeks canvas", name, within=20)) for name in ("accent", "warn"))
 
     def hours(pixels: np.ndarray, line: int) -> tuple[float, float]:
-        """From when to when a line holds these pixels, in hours after noon; NaN: it holds none."""
+        """From when to when a line holds these pixels, in hours after noon; NaN without any."""
         top = HEAD + LINE * line
         x = pixels[(pixels[:, 1] >= top) & (pixels[:, 1] < top + LINE) & (pixels[:, 0] >= LEFT), 0]
         span = 24 / (width - LEFT - 8)

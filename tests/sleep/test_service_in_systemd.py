@@ -116,13 +116,13 @@ def booted(root: Path) -> Iterator[Callable[..., str]]:
 
 
 def journal(inside: Callable[..., str], *, until: str, times: int = 1, within_s: float = 300) -> str:
-    """What the unit has told, once `until` stands there so many times."""
+    """The unit's log, once it contains `until` so many times."""
     deadline = time.monotonic() + within_s
     while True:
-        told = inside("journalctl", "-u", UNIT, "--no-pager", "-o", "cat")
-        if told.count(until) >= times:
-            return told
-        assert time.monotonic() < deadline, told[-3000:]
+        log = inside("journalctl", "-u", UNIT, "--no-pager", "-o", "cat")
+        if log.count(until) >= times:
+            return log
+        assert time.monotonic() < deadline, log[-3000:]
         time.sleep(0.5)
 
 
@@ -138,24 +138,22 @@ def test_the_unit_under_systemd_starts_goes_on_after_a_kill_and_ends_in_order(tm
         assert any((root / "var/cache/kinegraph").rglob("*")), "kernels are kept though the user has no home"
 
         inside("systemctl", "kill", "-s", "KILL", UNIT)
-        told = journal(inside, until="session resumed")
-        assert "resuming an interrupted session" in told
-        journal(inside, until="camera.depth 10/s", times=told.count("camera.depth 10/s") + 1)
+        log = journal(inside, until="session resumed")
+        assert "resuming an interrupted session" in log
+        journal(inside, until="camera.depth 10/s", times=log.count("camera.depth 10/s") + 1)
 
         inside("systemctl", "stop", UNIT)
-        told = journal(inside, until="Deactivated successfully")
+        log = journal(inside, until="Deactivated successfully")
         assert (
-            "Traceback" not in told
-            and inside("systemctl", "show", UNIT, "-p", "Result", "--value").strip() == "success"
+            "Traceback" not in log and inside("systemctl", "show", UNIT, "-p", "Result", "--value").strip() == "success"
         )
 
         inside("systemctl", "start", UNIT)
-        again = journal(inside, until="camera.depth 10/s", times=told.count("camera.depth 10/s") + 1)
+        again = journal(inside, until="camera.depth 10/s", times=log.count("camera.depth 10/s") + 1)
         assert again.count("session resumed") == 1, "what was ended in order is not gone on with"
 
         inside("systemctl", "stop", UNIT)
-        told = journal(inside, until="Deactivated successfully", times=2)
+        log = journal(inside, until="Deactivated successfully", times=2)
         assert (
-            "Traceback" not in told
-            and inside("systemctl", "show", UNIT, "-p", "Result", "--value").strip() == "success"
+            "Traceback" not in log and inside("systemctl", "show", UNIT, "-p", "Result", "--value").strip() == "success"
         )

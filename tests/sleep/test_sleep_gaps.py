@@ -1,4 +1,4 @@
-"""Recordings that hold several nights with gaps between them, and lights that stay off for days: right numbers, or none and a word."""
+"""Recordings that hold several nights with gaps between them, and lights that stay off for days: right numbers, or a warning."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def numbers(
     operator = SleepStatistics(**more)
     specs = {"epochs": SPEC, **({"lights": ON} if lights is not None else {})}
     operator.open(specs)
-    merge, found, told = Merge(specs), [], []
+    merge, found, merged = Merge(specs), [], []
     rows = [("epochs", int(row["end"]), np.array([row], EPOCH)) for piece in pieces for row in piece]
     rows += [("lights", START + round(h * 3600) * NS, np.array([(on,)], ON.dtype)) for h, on in lights or ()]
     for port, at, data in sorted(rows, key=lambda row: row[1]):
-        told += merge.push(port, Chunk(np.array([at]), data, at))
+        merged += merge.push(port, Chunk(np.array([at]), data, at))
     for port, spec in specs.items():
-        told += merge.push(port, Chunk(np.empty(0, np.int64), np.empty(0, spec.dtype), FOREVER))
-    for chunk in [operator.process(port, piece) for port, piece in told] + [operator.close()]:
+        merged += merge.push(port, Chunk(np.empty(0, np.int64), np.empty(0, spec.dtype), FOREVER))
+    for chunk in [operator.process(port, piece) for port, piece in merged] + [operator.close()]:
         for row in chunk.data:
             at = ((int(row[name]) - START) / NS / 3600 for name in ("onset", "end"))
             found.append((*(round(h, 2) for h in at), *(float(row[name]) for name in ("tib", "tst", "unknown"))))
@@ -74,16 +74,16 @@ def test_scheduled_nights_of_which_nothing_was_recorded_have_no_numbers() -> Non
 
 @pytest.mark.parametrize(("hours", "rows"), [(23, 1), (24, 1), (24.5, 0), (30, 0), (80, 0)])
 def test_lights_that_stay_off_longer_than_a_day_are_no_night_and_it_is_said(hours: float, rows: int) -> None:
-    with capture_logs() as said:
+    with capture_logs() as logs:
         made = numbers([epochs(0, hours + 12)], [(1, False), (1 + hours, True), (3 + hours, False), (11 + hours, True)])
     assert len(made) == rows + 1 and made[-1] == (3 + hours, 11 + hours, 480, 480, 0)
-    assert any("longer than longest_h" in entry["event"] for entry in said) == (rows == 0)
+    assert any("longer than longest_h" in entry["event"] for entry in logs) == (rows == 0)
 
 
 def test_lights_that_never_came_on_again_are_told_of_too() -> None:
-    with capture_logs() as said:
+    with capture_logs() as logs:
         assert numbers([epochs(0, 40)], [(1, False)]) == []
-    assert any("longer than longest_h" in entry["event"] for entry in said)
+    assert any("longer than longest_h" in entry["event"] for entry in logs)
 
 
 @pytest.mark.parametrize(("seconds", "rows"), [(20, 0), (59, 0), (60, 1), (600, 1)])

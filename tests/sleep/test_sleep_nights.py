@@ -1,4 +1,4 @@
-"""Nights told apart by the bed and the lights; a pause that lets nothing pass."""
+"""Nights separated by the bed and the lights; a pause that lets nothing pass."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SPECS = {"bed": StreamSpec((), BED), "lights": StreamSpec((), ON)}
 H = 3600
 
 
-def told(
+def nights_of(
     operator: Operator, bed: list[tuple[float, str]], lights: list[tuple[float, bool]] | None = None
 ) -> list[tuple[float, ...]]:
-    """(told after, begin, end) in hours after the start, and by what, of every night. `bed` and `lights` by hours."""
+    """(reported after, begin, end) in hours after the start, and by what, of every night. `bed` and `lights` by hours."""
     specs = SPECS if lights is not None else {"bed": SPECS["bed"]}
     operator.open(specs)
     merge = Merge(specs)
@@ -55,7 +55,7 @@ def ns(hours: float) -> int:
         ([(1, "in"), (4, "out"), (5, "in"), (6, "unknown"), (7, "in"), (8, "out"), (12, "unknown")], None, [(9.5, 1, 8, "detected")]),
         # two nights
         ([(1, "in"), (8, "out"), (24, "in"), (31, "out"), (40, "unknown")], None, [(9.5, 1, 8, "detected"), (32.5, 24, 31, "detected")]),
-        # a short rest is none
+        # a short rest is no night
         ([(1, "in"), (1.5, "out"), (6, "in"), (12, "out"), (20, "unknown")], None, [(13.5, 6, 12, "detected")]),
         # the lights say when, though one reads in bed before and stays in it afterwards
         ([(1, "in"), (9, "out"), (24, "unknown")], [(2, False), (8, True)], [(8.33, 2, 8, "lights")]),
@@ -84,9 +84,9 @@ def ns(hours: float) -> int:
         ([(1, "in"), (7, "out"), (24, "unknown")], [(2, False), (8.3, True)], [(8.63, 2, 8.3, "lights")]),
         # everything ends before it is known whether the bed is taken again
         ([(1, "in"), (8.05, "out")], [(2, False), (8, True)], [(8.33, 2, 8, "lights")]),
-        # nobody switched them on again
+        # they stay off
         ([(1, "in"), (8, "out"), (20, "unknown")], [(2, False)], [(9.5, 2, 8, "detected")]),
-        # nobody ever leaves
+        # the bed is never left
         ([(1, "in"), (30, "unknown")], None, [(21, 1, 21, "detected")]),
         # it ends while somebody is in bed
         ([(1, "in"), (5, "in")], None, []),
@@ -97,17 +97,17 @@ def ns(hours: float) -> int:
 def test_nights(
     bed: list[tuple[float, str]], lights: list[tuple[float, bool]] | None, nights: list[tuple[float, ...]]
 ) -> None:
-    assert told(Nights(), bed, lights) == nights
+    assert nights_of(Nights(), bed, lights) == nights
 
 
 def test_with_rejoin_min_0_the_lights_end_a_night_at_once() -> None:
     lights = [(2.0, False), (5.0, True), (5.1, False), (8.0, True)]
     bed = [(1.0, "in"), (9.0, "out"), (24.0, "unknown")]
-    assert told(Nights(rejoin_min=0.0), bed, lights) == [(5, 2, 5, "lights"), (8, 5.1, 8, "lights")]
+    assert nights_of(Nights(rejoin_min=0.0), bed, lights) == [(5, 2, 5, "lights"), (8, 5.1, 8, "lights")]
 
 
 def test_another_sleeper_has_other_nights() -> None:
-    assert told(Nights(sleeper="you"), [(1, "in"), (8, "out"), (20, "out")]) == []
+    assert nights_of(Nights(sleeper="you"), [(1, "in"), (8, "out"), (20, "out")]) == []
 
 
 def test_nights_that_can_never_be_are_refused() -> None:

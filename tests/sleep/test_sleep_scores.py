@@ -194,16 +194,16 @@ def test_movement_just_before_a_second_body_is_withdrawn_before_it_is_final() ->
     onset = np.arange(60, dtype=np.int64) * 30 * NS
     activity = np.zeros((60, 1))
     activity[[20, 30, 40]] = 0.5
-    told = np.zeros(60, seen_of)
-    told["onset"], told["sleeper"] = onset, "me"
-    told["why"][[21, 22, 23, 35]] = "body"
+    seen = np.zeros(60, seen_of)
+    seen["onset"], seen["sleeper"] = onset, "me"
+    seen["why"][[21, 22, 23, 35]] = "body"
     activity[[21, 22, 23, 35]] = np.nan
     spec = StreamSpec((1,), rate_hz=1 / 30, channels=("me",), units=("",))
-    inputs = {"in": (spec, onset, activity), "seen": (StreamSpec((), seen_of), onset + 30 * NS - 1, told)}
+    inputs = {"in": (spec, onset, activity), "seen": (StreamSpec((), seen_of), onset + 30 * NS - 1, seen)}
     last = final(play(SleepScorer(), **inputs)["out"])
     assert np.flatnonzero(np.isnan(last["activity"])).tolist() == [20, 21, 22, 23, 35], "34 had no movement"
     assert (last["state"][[20, 21, 22, 23, 35]] == "unknown").all()
     assert (np.delete(last["state"], [20, 21, 22, 23, 35]) == "sleep").all()
-    others = {**inputs, "seen": (inputs["seen"][0], inputs["seen"][1], told.copy())}
+    others = {**inputs, "seen": (inputs["seen"][0], inputs["seen"][1], seen.copy())}
     others["seen"][2]["sleeper"] = "partner"
     assert np.isnan(final(play(SleepScorer(), **others)["out"])["activity"]).sum() == 4, "of somebody else"

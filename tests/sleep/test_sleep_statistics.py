@@ -60,8 +60,8 @@ def test_just_as_much_sleep_as_begins_a_period_begins_one() -> None:
         spec, _, rows = scores(["sleep"] * asleep + ["wake"] + ["sleep"] * 200 + ["wake"] * 10)
         made = SleepPeriods()
         made.open({"in": spec})
-        told = made.process("in", Chunk(rows["onset"].copy(), rows, int(rows["end"][-1])))
-        assert told.data["onset"].tolist() == [begins * MINUTE]
+        made_night = made.process("in", Chunk(rows["onset"].copy(), rows, int(rows["end"][-1])))
+        assert made_night.data["onset"].tolist() == [begins * MINUTE]
 
 
 @needs_data
@@ -147,7 +147,7 @@ def test_bounds_hold_whatever_the_unknown_epochs_were(seed: int) -> None:
     rng = np.random.default_rng(seed)
     states = rng.choice([UNKNOWN, WAKE, SLEEP], 14, p=[0.25, 0.4, 0.35]).astype(np.int8)
     states[rng.integers(14)] = SLEEP
-    told = night(states, np.zeros(14), 1.0, "AASM")
+    made_night = night(states, np.zeros(14), 1.0, "AASM")
     places = np.flatnonzero(states == UNKNOWN)
     reached: dict[str, list[float]] = {name: [] for name in ("tst", "se", "waso", "sol")}
     for code in range(2 ** len(places)):
@@ -157,9 +157,11 @@ def test_bounds_hold_whatever_the_unknown_epochs_were(seed: int) -> None:
         for name, values in reached.items():
             values.append(getattr(truth, name))
     for name, values in reached.items():
-        assert getattr(told, f"{name}_low") <= min(values) and max(values) <= getattr(told, f"{name}_high"), name
-    assert (told.tst_low, told.tst_high) == (min(reached["tst"]), max(reached["tst"]))
-    assert told.tst == (states == SLEEP).sum() and told.unknown == len(places)
+        assert getattr(made_night, f"{name}_low") <= min(values) and max(values) <= getattr(
+            made_night, f"{name}_high"
+        ), name
+    assert (made_night.tst_low, made_night.tst_high) == (min(reached["tst"]), max(reached["tst"]))
+    assert made_night.tst == (states == SLEEP).sum() and made_night.unknown == len(places)
 
 
 def test_nobody_said_when_the_lights_went_off() -> None:

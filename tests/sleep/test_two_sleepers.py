@@ -1,4 +1,4 @@
-"""Two in one bed: whose region is where is found and checked, the one's movements are not the other's, and each gets a report."""
+"""Two in one bed: each one's region is found and checked, their movements are kept apart, and each gets a report."""
 
 from __future__ import annotations
 
