@@ -119,6 +119,10 @@ class Activity(Operator[ActivityState]):
     epochs have it. (Trembling faster than the looks follow each other would pass for it, were it as steady.)
 
     A silence up to `reset_gap_s` gives epochs of NaN; beyond it everything starts again. Delay: one epoch.
+
+    >>> given, made = tried(Activity)
+    >>> given["motion"].shape, made["epochs"][["sleeper", "bed", "moved_s"]][-1].item()
+    ((600, 2), ('right', 'unknown', 0.0))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "bed", "far", "motion")

@@ -67,6 +67,10 @@ class BedRegion(Operator[BedState]):
     found
     is looked for again; one that was set goes with the picture, as far as the frame reaches, if the jump could be measured. If not, it
     stays unknown, and has to be set again.
+
+    >>> given, made = tried(BedRegion)
+    >>> made[["sleeper", "row", "column", "rows", "columns"]][0].item()
+    ('sleeper', 16, 8, 40, 40)
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "in")

@@ -94,6 +94,10 @@ class Breathing(Operator[BreathingState]):
     noise; the rate is where their spectra together are highest (2 Hz at most, no straight line, Hann window over the epoch). An epoch
     in which a cell of the region goes faster than `still_mm_s` has movement, and no rate. It finds no pauses of breath, and raises no
     alarm. No delay: the event comes with the epoch's end.
+
+    >>> given, made = tried(Breathing)
+    >>> made["sleeper"].tolist()[:2], made["rate"].round(1)[:4]
+    (['a', 'b'], array([nan, nan, 15., nan]))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("regions", "bed", "blocks")

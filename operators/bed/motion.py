@@ -82,6 +82,10 @@ class Motion(Operator[MotionState]):
     both frames, while the region is not known, and where no pixel of the whole frame has changed, for it repeats the last one.
 
     The state holds a frame. So that no checkpoint holds a raw one, frames that were not simplified are refused, unless `raw`.
+
+    >>> given, made = tried(Motion)
+    >>> given["frames"][:2, 0, 0], made["out"][-1].round(2)
+    (array([944,   0], dtype=uint16), array([22.75, 13.9 ]))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("scene", "regions", "frames")

@@ -51,6 +51,10 @@ class NightMap(Operator[NightMapState]):
     It covers every epoch since the night before, with `bed` connected only those that end with somebody in bed; NaN where nothing was
     measured. `onset`, `end`: of the first and last epoch that it covers; `frames`: how many frames, at most of all cells. A night without
     any epoch emits nothing. Sums are of 64 bits: nothing overflows.
+
+    >>> given, made = tried(NightMap)
+    >>> given["map"]["frames"][:4], made["frames"]
+    (array([30, 30, 30, 30]), array([480,  30, 270]))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("bed", "seen", "map", "nights")

@@ -55,6 +55,10 @@ class Presence(Operator[PresenceState]):
     noticed. While the empty bed is not known again, what is raised since the sleeper was seen again counts; who came before that is not
     noticed. `body` also while something small walks about: it is raised apart from the sleeper, on blocks that were flat a moment ago, and
     as many are flat behind it (a cat; not one that walks on the sleeper); before the empty bed is known: out of the mattress's plane.
+
+    >>> given, made = tried(Presence)
+    >>> given["blocks"].shape, made["out"][["sleeper", "state"]][:2].tolist()
+    ((300, 6, 8), [('a', 'out'), ('b', 'out')])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("view", "regions", "blocks")

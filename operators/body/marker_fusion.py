@@ -43,6 +43,10 @@ class Surer(Operator[SurerState]):
     A way is as sure as it sees markers. `first` is taken as long as it sees `least` of them; when it has not for `patience` samples in a
     row, `second` is, until `first` is back for as many. A marker that `first` misses is taken from `second` where the bones to those of
     `first` are then as long as bones are; else it stays missing.
+
+    >>> given, made = tried(Surer)
+    >>> np.isfinite(given["first"]).mean().round(2).item(), np.isfinite(made).mean().round(2).item()
+    (0.75, 0.99)
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("first", "second")

@@ -60,6 +60,10 @@ class Persons(Operator[PersonsState]):
     just was, a table that is pushed into the picture, is not the person's but the next one's. Whoever passes before somebody keeps apart
     from them, also while nothing else of them is seen. Whoever was away for 3 s gives up the number. `person` says who is followed: a
     number, or 0: the largest, who is followed until gone, or hidden by another one for 3 s.
+
+    >>> given, made = tried(Persons)
+    >>> (given["in"][0] > 0).sum().item(), made["persons"][["person", "pixels"]][0].item()
+    (188, (1, 108))
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "labels", "persons")

@@ -93,6 +93,10 @@ class AccelerationContacts(Contacts[AccelerationState]):
     the sole's impact), the lift-off 20 ms before the first peak (the push-off): medians over 13 people.
 
     Decided: when the foot has been still for 0.15 s; both contacts of a step come together, some 0.3 s after the touch-down.
+
+    >>> given, made = tried(AccelerationContacts)
+    >>> given["in"].shape, made["touchdown"]["onset"][:3] / 1e9
+    ((1200, 3), array([1.9, 3.1, 4.3]))
     """
 
     acceleration: tuple[str, ...] = param((), help="the three channels of acceleration; empty: those in m/s2, g or mg")

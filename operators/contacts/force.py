@@ -127,6 +127,11 @@ class ForceContacts(_Press):
     quarter of `threshold_n`, a contact begins at four of its standard deviations, and the hysteresis grows alike. `other`, the other
     belt's channels of the same stream, takes its cross-talk out: the part of its load that this plate shows in swing, by least squares
     with a fading memory. `zero: none` takes the force as it comes.
+
+    >>> load = np.tile(np.repeat([0.0, 700.0], [40, 60]), 3)
+    >>> found = ForceContacts(zero="none")(load, rate_hz=100, units=["N"])
+    >>> found["touchdown"]["onset"].round(-6) / 1e9
+    array([1.39, 2.39, 3.39])
     """
 
     threshold_n: float = param(20.0, above=0.0, help="on the ground from this force up")
@@ -190,6 +195,10 @@ class SwitchContacts(_Press):
 
     Takes a signal (channels,); of several channels (heel, ball and toe switches of one foot) the highest counts. Onsets as in
     `ForceContacts`: where the line between samples crosses `threshold`. Decided `debounce_s` after the onset.
+
+    >>> pressed = np.repeat([0.0, 3.0, 0.0], 50)
+    >>> SwitchContacts(threshold=1.5)(pressed, rate_hz=100)["touchdown"]["onset"] / 1e9
+    array([1.495])
     """
 
     threshold: float = param(

@@ -70,6 +70,10 @@ class ForcePlate(SampleWise[ForcePlateState]):
     the surface: (-my / fz, mx / fz). A treadmill with two belts is two of these nodes, each with its channels and its matrix.
 
     Source: the usual mechanics of a six-component plate; C3D's FORCE_PLATFORM types 2 and 4 have it so.
+
+    >>> given, made = tried(ForcePlate)
+    >>> given["in"][0].round(2), made[0].round(1)
+    (array([ 0.96, -0.98, -0.8 , -0.2 ,  0.75,  0.85, -0.71]), array([-108.4,  -89.7,  -61.9,   17.1,   21.1,   -7.5,    0.3,   -0.3]))
     """
 
     channels: tuple[str, ...] = param(help="the plate's channels, in the order of the matrix's columns")

@@ -185,6 +185,10 @@ class InertialContacts(Contacts[InertialState]):
     delay. Lift-off 0.1 to 0.2 s after its onset, but only with the touch-down where it was not clear before that this is
     a swing (the first step). `site: shank` uses the shank's turning points; their distance from the contacts is an
     assumption that was never measured.
+
+    >>> given, made = tried(InertialContacts)
+    >>> given["in"].shape, made["touchdown"]["onset"][:3] / 1e9
+    ((1300, 6), array([2.926, 4.026, 5.126]))
     """
 
     site: Literal["foot", "shank"] = param("foot", help="where the sensor is worn")

@@ -35,6 +35,10 @@ class LegContacts(Operator[LegContactsState]):
     Each event gets the field `limb`, left or right, as `operators.contacts.limb_contacts.LimbContacts` gives it, so that cycles,
     footfalls and
     what follows have limbs as a dimension. Of equal stamps the left leg's come first. Nothing is delayed beyond what the inputs are.
+
+    >>> found = apply(LegContacts(), left_touchdown=events([1, 2]), right_touchdown=events([1.5]))
+    >>> found["touchdown"]["limb"].tolist()
+    ['left', 'right', 'left']
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("left_touchdown", "right_touchdown", "left_liftoff", "right_liftoff")

@@ -39,6 +39,12 @@ class LimbContacts(OnePerLimb[Contacts[Any]]):
     SwitchContacts, `marker` MarkerContacts, `inertial` InertialContacts, `acceleration` AccelerationContacts), `common` its parameters,
     and `limbs` those that differ: {left: {channels: [Fz_left]}, right: {channels: [Fz_right]}}. An event's field `limb` is the name that
     stands there. Everything else, delay and errors included, is the detector's. Memory: one detector per limb.
+
+    >>> line = np.tile([[0.0, 3.0], [3.0, 0.0]], (3, 1)).repeat(50, axis=0)
+    >>> limbs = {"left": {"channels": ["l"]}, "right": {"channels": ["r"]}}
+    >>> found = LimbContacts("switch", limbs, {"threshold": 1.5})(line, rate_hz=100, channels=["l", "r"])
+    >>> found["touchdown"]["limb"].tolist()
+    ['left', 'right', 'left', 'right', 'left']
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("touchdown", "liftoff")

@@ -62,6 +62,10 @@ class MarkerContacts(Contacts[MarkerState]):
     `fill_gap_s`; a longer gap, and a jump that no limb makes (30 m/s), restart detection. Positions that keep making such jumps, or lie
     less than 0.1 m or more than 2.5 m from the reference, are warned of once: their unit is not what it is taken for.
     Decided: touch-down some 70 to 120 ms after its onset, lift-off some 150 ms; a walker who stops within 0.3 s, the declared delay.
+
+    >>> given, made = tried(MarkerContacts)
+    >>> given["in"].shape, made["touchdown"]["onset"][:3].round(-7) / 1e9
+    ((1200, 2, 3), array([2.05, 3.16, 4.27]))
     """
 
     marker: str = param(help="the marker on the foot or leg: its name, or its number from 0")

@@ -73,6 +73,11 @@ class Cycles(Operator[CyclesState]):
 
     Delay: the two samples after the touch-down, and up to one more until it is known that they are there. Memory: the signal of
     `longest_s` + `late_s` and its settling time, twice.
+
+    >>> ramp = series(np.arange(300.0), rate_hz=100)
+    >>> cycles = apply(Cycles(), signal=ramp, touchdown=events([0.5, 1.5, 2.5]))
+    >>> cycles["closed"]["duration_s"], cycles["cycles"][0, [0, 50, 99], 0].round()
+    (array([1., 1.]), array([ 50., 100., 149.]))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "touchdown", "liftoff")

@@ -46,6 +46,12 @@ class LimbCycles(_Placed):
 
     `limbs` selects each limb's channels by a pattern with a star for the muscle: {left: "L_*", right: "R_*"}; L_TA is then the left TA. A
     channel that fits no pattern is cut by the first limb. The other parameters are those of `Cycles`, and so are reasons, delay and memory.
+
+    >>> emg = series(np.zeros((300, 2)), rate_hz=100, channels=["L_TA", "R_TA"])
+    >>> steps = events([1, 1.5, 2, 2.5], LIMB_CONTACT, limb=["left", "right", "left", "right"])
+    >>> found = apply(LimbCycles({"left": "L_*", "right": "R_*"}), signal=emg, touchdown=steps)["closed"]
+    >>> found[["limb", "duration_s"]].tolist()
+    [('left', 1.0), ('right', 1.0)]
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "touchdown", "liftoff")

@@ -87,6 +87,11 @@ class CycleReview(Operator[ReviewState]):
     A person has the last word, by an annotation: "leave out 17", "leave out 17 TA", "leave out TA" (in every cycle), "leave out last", or
     "use ..." for the contrary; "use contacts" takes back in all cycles with wrong contacts. As annotations are recorded, a replay knows.
     `left_out` and `kept` say the same from the start on. A cycle that `Cycles` rejected cannot be used: it has no curve.
+
+    >>> notes = events([9.0], [("onset", "<i8"), ("text", "<U64")], text=["leave out 3"])
+    >>> closed = apply(CycleReview(), annotations=notes, **some_cycles(8, 2, seed=1))["closed"]
+    >>> closed[["number", "rejected"]][closed["number"] == 3].tolist()
+    [(3, ''), (3, 'by hand'), (3, 'by hand')]
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("quality", "annotations", "contacts", "timing", "closed", "cycles")

@@ -81,6 +81,11 @@ class Stages(Operator[StagesState]):
     under way), or by `protocol`: the first with the session's first sample, the next when the one before it has lasted `for_s`, has its
     number of good `cycles`, or at "next". "end stage" ends the stage under way, and begins no other; at "next" a protocol then goes on.
     Annotations are recorded, so a replay has the same stages. A cycle that is reported again keeps its stage, and is not counted twice.
+
+    >>> notes = events([2.5], [("onset", "<i8"), ("text", "<U64")], text=["stage slow"])
+    >>> closed = events([2, 5], CLOSED, onset=[1, 4], end=[2, 5], number=[1, 2])
+    >>> apply(Stages(), annotations=notes, closed=closed)["closed"][["number", "stage"]].tolist()
+    [(1, ''), (2, 'slow')]
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "speed", "annotations", "closed")

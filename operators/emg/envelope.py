@@ -80,6 +80,10 @@ class Envelope(Operator[EnvelopeState]):
     Delay: declared by `delay_s`, subtracted from the stamps. The last `delay_s` of a stream lack their look-ahead and are not emitted.
     NaN or infinity: the last finite value of that channel replaces it; the outputs that cover it are NaN.
     A gap longer than `reset_gap_s` resets the filters, which take `settling_s` to settle; after a shorter one samples count as consecutive.
+
+    >>> tone = 100 * np.sin(2 * np.pi * 80 * np.arange(2000) / 1000)  # the mean of |tone| is 63.7
+    >>> float(Envelope()(tone, rate_hz=1000)[60].round(1))
+    63.3
     """
 
     cutoff_hz: float = param(20.0, above=0.0, help="cut-off of the low-pass (each way)")

@@ -36,6 +36,9 @@ class Normalise(Operator[NormaliseState]):
     The thesis scales every signal to [0, 1]; done cycle by cycle that hides every change in strength. A reference that is frozen before
     the session keeps cycles, muscles and sessions comparable. `meta["normalisation"]` names the method on this and every stream made from
     it, `meta["normalisation_reference"]` holds the reference's values, person and date: so does every recording.
+
+    >>> Normalise()(np.array([1.0, 2.0]), rate_hz=100)
+    array([1., 2.])
     """
 
     takes = "finite"

@@ -116,6 +116,10 @@ class SignalQuality(Operator[QualityState]):
     which `CycleEnsemble` answers ("not repeatable"); it is no measure of the electrode.
 
     A gap longer than `reset_gap_s` throws the open window away. Memory: one window.
+
+    >>> found = SignalQuality()(np.zeros((4000, 1)), rate_hz=1000, channels=["TA"], units=["uV"])
+    >>> found[["name", "flag", "reason"]][0].item()
+    ('TA', 'bad', 'flat line')
     """
 
     window_s: float = param(1.0, least=0.5, most=60.0, help="length of a window")

@@ -45,6 +45,9 @@ class Mirror(SampleWise[MirrorState]):
     Without `swap` and `negate` a pose's own pairs are used (operators.features.pose.Pose). A channel may stand in one pair. Stacked
     features keep their offsets: ankle_l.x[-10] and ankle_r.x[-10]. The output's `meta["sides"]` is "LR", or "AB" where sides are not known;
     `meta["firsts"]` names the first of each pair.
+
+    >>> Mirror(swap=[["arm_l", "arm_r"]])(np.array([[1.0, 2.0]]), rate_hz=30, channels=["arm_l", "arm_r"])
+    array([[2., 1.]])
     """
 
     swap: tuple[tuple[str, str], ...] = param((), help="[channel, channel]: exchanged")

@@ -77,6 +77,11 @@ class NormalisedPose(SampleWise[NormalisedPoseState]):
     one another the last heading holds. The unit is that of the input. No delay; any rate.
 
     Source: thesis, 5.3.2 (withers and sacrum of horses). `operators.features.pose.Pose` is the one for human joints, by the hips.
+
+    >>> horse = np.array([[[1.0, 1.5, 2.0], [1.0, 1.5, 3.0], [1.2, 0.0, 2.0]]])
+    >>> names = ["withers", "head", "hoof"]
+    >>> NormalisedPose("withers", "head")(horse, rate_hz=100, channels=names, units=["m"]).round(2)
+    array([[ 0. ,  0. ,  0. ,  1. ,  0. ,  0. ,  0. , -1.5, -0.2]])
     """
 
     origin: str = param(help="the marker that positions are relative to")

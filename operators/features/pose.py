@@ -132,6 +132,10 @@ class Pose(_Seen):
 
     The input's unit is m, cm or mm (without one it is taken for cm). No delay; any rate. A point that is not finite is NaN, and so is the
     whole pose where the root or the hips are. `meta["mirror"]` holds what operators.features.mirror.Mirror swaps.
+
+    >>> given, made = tried(Pose)
+    >>> given["in"][-1, 0].round(2), made[-1, :3].round(1)
+    (array([ 1.48,  1.3 , -0.76]), array([ 208.3, -142.4,  -88.5]))
     """
 
     takes = "rows"

@@ -37,6 +37,10 @@ class SkipRest(Operator[RestState]):
     What is kept back counts as lost, so that what follows sees a gap: somebody sat down, or put the phone on the table. Movement passes
     from its first sample beyond `moves` on. The first `window_s` pass, also after a gap. A sample with a bad value passes, as NaN. No
     delay.
+
+    >>> walk_and_stand = np.concatenate([np.arange(10.0), np.full(30, 9.0)])
+    >>> len(SkipRest(moves=0.5, window_s=1.0)(walk_and_stand, rate_hz=10))
+    18
     """
 
     exemptions: ClassVar[dict[str, str]] = {"channels": "rest is that of all channels together"}

@@ -69,6 +69,11 @@ class SelfSimilarity(Filter[SelfSimilarityState]):
     counted, so that lags stay times; a longer one than `reset_gap_s` starts afresh.
 
     Source: thesis, 2.2 (the matrix) and 2.3.1 (the distance). Departure: only the newest `lags` frames are compared.
+
+    >>> SelfSimilarity(every=1, lags=2)(np.array([0.0, 3.0, 4.0]), rate_hz=30)
+    array([[nan, nan],
+           [ 3., nan],
+           [ 1.,  4.]])
     """
 
     every: int = param(15, least=1, help="compare one frame in this many")

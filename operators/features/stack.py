@@ -105,6 +105,11 @@ class Stack(Operator[StackState]):
     the start, at the end and around a gap longer than `reset_gap_s`, do not come out. A bad value is NaN in every stack that holds it.
     Points (points, 3) are laid flat. `meta["stack"]` holds the offsets and the number of features, from which a radius R per single number
     becomes R sqrt(offsets x features).
+
+    >>> Stack(offsets=[-1, 0])(np.arange(4.0), rate_hz=30)
+    array([[0., 1.],
+           [1., 2.],
+           [2., 3.]])
     """
 
     takes = "rows"

@@ -102,6 +102,9 @@ class Standardise(SampleWise[StandardiseState]):
     let features drift, and two poses that were alike are no longer: with `freeze_s` they stay what they were then.
 
     least_share  no channel's spread counts as less than this share of the largest: one that is silent is not blown up to noise
+
+    >>> Standardise(window_s=1.0)(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), rate_hz=10).round(2)
+    array([0.  , 1.35, 1.35, 1.35, 4.72])
     """
 
     window_s: float = param(30.0, above=0.0, help="what median and spread are taken from")

@@ -42,6 +42,9 @@ class Weigh(SampleWise[WeighState]):
     `operators.features.standardise.Standardise` before it. The output has no units;
     `meta["weights"]` says what was given. No delay, any rate.
     Source: thesis, 2.8, which joins EMG and acceleration and leaves open how.
+
+    >>> Weigh(weights={"emg": 1.0, "acc": 2.0})(np.ones((1, 2)), rate_hz=100, channels=["emg", "acc"]).round(3)
+    array([[0.816, 1.155]])
     """
 
     weights: dict[str, float] = param(help="how much these channels count together, by name or pattern")

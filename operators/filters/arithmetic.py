@@ -74,6 +74,9 @@ class Arithmetic(SampleWise[ArithmeticState]):
     sum, mean, min, max, product and magnitude (the root of the sum of squares) take one channel or more, difference and ratio two: the
     first less, or over, the second. All but product and ratio need channels of one unit. What is not finite in, or not defined (0 / 0),
     is NaN. Channels of different streams are joined by operators.timing.align.Align first.
+
+    >>> Arithmetic(compute={"norm": ["magnitude", "x", "y"]})(np.array([[3.0, 4.0]]), rate_hz=100, channels=["x", "y"])
+    array([[5.]])
     """
 
     compute: Mapping[str, tuple[str, ...]] = param(help="new channel: [operation, channel, channel, ...]")

@@ -41,6 +41,10 @@ class Select(SampleWise[SelectState]):
     rename    new names by old ones
 
     Takes signals and markers (with points as channels) of any dtype, and keeps the dtype.
+
+    >>> Select(channels=["SO"])(np.array([[1.0, 2.0], [3.0, 4.0]]), rate_hz=100, channels=["TA", "SO"])
+    array([[2.],
+           [4.]])
     """
 
     channels: tuple[str | int, ...] = param((), help="names, or numbers from 0; empty: all")

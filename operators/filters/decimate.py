@@ -47,6 +47,9 @@ class Decimate(Filter[DecimateState]):
     There is no filter in it: what lies above half of the new rate folds down, so a low-pass must come before it (or use Resample). In a
     gap the lost samples are counted by time, so that what is kept stays on its grid; a gap above the limit begins a new grid. Bad samples
     are kept like others, infinity as NaN. While samples flow, `until` is reported with every kept sample only.
+
+    >>> Decimate(every=3)(np.arange(8.0), rate_hz=100)
+    array([0., 3., 6.])
     """
 
     every: int = param(least=1, help="keep one sample in this many")

@@ -57,6 +57,9 @@ class Derivative(Filter[DerivativeState]):
     It is centred: stamps are two samples earlier (the declared delay), and nothing comes out until five samples have come, at the start
     and after a gap. A bad sample spoils the five values that rest on it, or are centred on it: they are NaN (here the general rule, to
     hold the state and go on, would give wrong slopes). The nominal rate counts, not the jitter of the stamps.
+
+    >>> Derivative()(np.arange(6.0) ** 2, rate_hz=1)
+    array([4., 6.])
     """
 
     delays: ClassVar[str] = "2 samples"

@@ -91,6 +91,9 @@ class MovingMin(_Extreme):
     """The smallest value of the newest `window_s`; stamps are those of the window's centre, half a window earlier (the declared delay).
 
     The window holds a number of samples, `window_s` times the rate, rounded; until it is full, what has come. Bad samples do not enter it.
+
+    >>> MovingMin(window_s=0.03)(np.array([1.0, 5.0, 2.0, 0.0, 3.0]), rate_hz=100)
+    array([1., 1., 1., 0., 0.])
     """
 
     sign: ClassVar[float] = -1.0
@@ -103,7 +106,11 @@ class MovingMin(_Extreme):
 
 @dataclass(frozen=True, slots=True)
 class MovingMax(_Extreme):
-    """The largest value of the newest `window_s`; window, stamps and delay as in MovingMin."""
+    """The largest value of the newest `window_s`; window, stamps and delay as in MovingMin.
+
+    >>> MovingMax(window_s=0.03)(np.array([1.0, 5.0, 2.0, 0.0, 3.0]), rate_hz=100)
+    array([1., 5., 5., 5., 3.])
+    """
 
     sign: ClassVar[float] = 1.0
     window_s: float = param(above=0.0, help="length of the window")

@@ -100,6 +100,9 @@ class FillGaps(Operator[FillState]):
 
     method  linear: a straight line between the neighbours; hold: the value before the run
     delay   a sample that may yet be filled waits for the next good one, so `limit_s` at most; without bad samples there is no delay
+
+    >>> FillGaps()(np.array([1.0, np.nan, np.nan, 4.0]), rate_hz=100)
+    array([1., 2., 3., 4.])
     """
 
     delays: ClassVar[str] = "`limit_s`, only where something is bad"

@@ -63,6 +63,9 @@ class RemoveMean(Filter[RemoveMeanState]):
     initial  the mean of the first `window_s`, kept from then on: a baseline taken at rest. Until it is complete: the mean so far
 
     Sums are kept as in MovingMean, so nothing drifts. A window holds a number of samples, `window_s` times the rate, rounded.
+
+    >>> RemoveMean(mean="running")(np.array([4.0, 6.0, 8.0]), rate_hz=100)
+    array([0., 1., 2.])
     """
 
     mean: Literal["moving", "running", "initial"] = param("moving", help="which mean is removed")

@@ -140,6 +140,9 @@ class MovingMean(_Moving):
 
     The window holds a number of samples, `window_s` times the rate, rounded. Until it is full the mean is that of what has come. Bad
     samples do not enter it, so a channel's window then reaches further back.
+
+    >>> MovingMean(window_s=0.03)(np.array([1.0, 5.0, 3.0, 1.0]), rate_hz=100)
+    array([1., 3., 3., 3.])
     """
 
     window_s: float = param(above=0.0, help="length of the window")
@@ -152,7 +155,11 @@ class MovingMean(_Moving):
 
 @dataclass(frozen=True, slots=True)
 class MovingRms(_Moving):
-    """The root mean square over the newest `window_s`; window, stamps and delay as in MovingMean."""
+    """The root mean square over the newest `window_s`; window, stamps and delay as in MovingMean.
+
+    >>> MovingRms(window_s=0.02)(np.array([3.0, 4.0, -4.0]), rate_hz=100).round(3)
+    array([3.   , 3.536, 4.   ])
+    """
 
     window_s: float = param(above=0.0, help="length of the window")
     kernel = moving_rms

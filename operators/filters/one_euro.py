@@ -59,6 +59,9 @@ class OneEuro(Filter[SlopeState]):
     Stamps stay. The lag is 1 / (2 pi cutoff) at rest, 80 ms at 2 Hz, and less the faster it goes: 1 / (2 pi (cutoff_hz + beta |speed|)),
     at 2 Hz and beta 20 per metre 16 ms at .4 m/s. `operators.filters.predict.Predict` takes a constant part of it back. Any rate, also
     irregular.
+
+    >>> OneEuro(cutoff_hz=1.0, beta=0.0)(np.array([0.0, 1.0, 1.0, 1.0]), rate_hz=30).round(3)
+    array([0.   , 0.189, 0.342, 0.467])
     """
 
     delays: ClassVar[str] = "no declared delay; lags by 1 / (2 pi (cutoff_hz + beta speed))"

@@ -45,6 +45,9 @@ class Predict(Filter[SlopeState]):
 
     Stamps stay: what comes out is meant for the time that the lag of the filters before has cost. It overshoots where motion stops or
     turns, by `ahead_s` times the change of speed; noise grows by up to 1 + ahead_s / tau_s times the square root of two.
+
+    >>> Predict(ahead_s=0.1)(np.arange(0.0, 1.0, 0.1), rate_hz=10).round(2)
+    array([0.  , 0.19, 0.3 , 0.4 , 0.5 , 0.6 , 0.7 , 0.8 , 0.9 , 1.  ])
     """
 
     delays: ClassVar[str] = "no delay; takes back `ahead_s` of lag"

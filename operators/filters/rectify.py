@@ -25,7 +25,11 @@ def magnitudes(x: Samples, out: Samples) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Rectify(SampleWise[None]):
-    """Every number's absolute value, as float64. No delay; works at any rate, and passes gaps on as they are."""
+    """Every number's absolute value, as float64. No delay; works at any rate, and passes gaps on as they are.
+
+    >>> Rectify()(np.array([-2.0, 3.0, -0.5]), rate_hz=100)
+    array([2. , 3. , 0.5])
+    """
 
     references: ClassVar[str] = "thesis 6.2.3"
     kernel = magnitudes

@@ -112,6 +112,10 @@ class Resample(Operator[ResampleState]):
 
     As in scipy, zeros are taken to stand before the first sample, and the outputs of the first half filter are marked as settling. Nothing
     stands for what comes after the end: the last half filter is not emitted.
+
+    >>> slow = Resample(rate_hz=50)(np.sin(2 * np.pi * np.arange(200) / 100), rate_hz=100)
+    >>> len(slow), float(slow.max().round(2))
+    (90, 1.0)
     """
 
     delays: ClassVar[str] = "`half_length` samples of the slower rate"

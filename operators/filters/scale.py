@@ -38,6 +38,9 @@ class Scale(SampleWise[ScaleState]):
 
     `gain` and `offset` are one number for all, or one per channel of a signal, or of points (points, 3) one for each of x, y and z;
     `unit` names what comes out, if it changes. A negative gain turns an axis over: the axes that come out are declared so.
+
+    >>> Scale(gain=0.5, offset=1.0)(np.array([0.0, 2.0, 4.0]), rate_hz=100)
+    array([1., 2., 3.])
     """
 
     gain: float | tuple[float, ...] = param(

@@ -63,6 +63,9 @@ class Binomial(Filter[BinomialState]):
     window is full, the mean is that of what has come, by the weights it will have had. Bad samples do not enter the window.
 
     The thesis names a window of 16 frames and neither its weights nor its alignment: here they are C(15, k) / 2^15 and the centre.
+
+    >>> Binomial(window=3)(np.array([0.0, 4.0, 0.0, 0.0]), rate_hz=100)
+    array([0.        , 1.33333333, 2.        , 1.        ])
     """
 
     delays: ClassVar[str] = "(window - 1) / 2 samples"

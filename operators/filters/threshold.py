@@ -89,6 +89,10 @@ class Threshold(Operator[ThresholdState]):
     Events are stamped with the sample at which they were decided; no other delay. An interval with an unseen beginning (at the start,
     after a gap) is not reported. After an interval's end, crossings within `refractory_s` are passed over: the channel must fall back and
     cross once more. Bad samples change nothing. Works at any rate; every gap makes lost = -1 on both outputs.
+
+    >>> found = Threshold(level=2.0)(np.array([0.0, 3.0, 4.0, 1.0, 0.0]), rate_hz=1)
+    >>> found["interval"][["onset", "end"]].tolist()
+    [(2000000000, 4000000000)]
     """
 
     delays: ClassVar[str] = "no delay: stamped when decided"

@@ -291,6 +291,10 @@ class MotionMap(Operator[MotionMapState]):
     (operators.features.normalised_pose.NormalisedPose) are left out. The memory is a covariance, however long the session is. No delay.
 
     Source: thesis, 5.3.3 (PCA of normalised poses). Departure: it learns live, where the thesis has the whole recording.
+
+    >>> given, made = tried(MotionMap)
+    >>> given["in"][-1].round(1), made["map"][-1].round(1)
+    (array([ -0.6,  -1. , -12. ,  -5.4,   0. ]), array([-1.4,  6.2]))
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("map", "explained")

@@ -89,6 +89,11 @@ class ChannelWatch(Operator[ChannelWatchState]):
     sound ones end it. Stamped with the window's last sample.
     "clipping below the range": a window's highest or lowest value comes `clipped` times or more in a signal that hardly ever stands still
     (one of few steps is left alone). `SignalQuality` sees clipping at the end of the range only.
+
+    >>> noise = np.random.default_rng(1).standard_normal((3000, 1)).repeat(2, axis=1)
+    >>> found = ChannelWatch()(noise, rate_hz=1000, channels=["TA", "SO"], units=["uV"])
+    >>> found[["subject", "what"]].tolist()
+    [('TA', 'same samples as SO')]
     """
 
     window_s: float = param(1.0, above=0.0, most=60.0, help="how long a window is")

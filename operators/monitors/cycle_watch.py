@@ -60,6 +60,10 @@ class CycleWatch(Operator[CycleWatchState]):
     Of several limbs (a field `limb` in `closed`), `operators.monitors.limb_watch.LimbWatch` watches each.
 
     Each is reported once, and once more when it is over. Stamped when it is decided: the silence's at its end, the others' with a cycle.
+
+    >>> closed = events([12.0], CLOSED, onset=[11], end=[12], number=[1], duration_s=[1.0])
+    >>> apply(CycleWatch(first_s=5.0), signal=series(np.zeros(400), rate_hz=20), closed=closed)["what"].tolist()
+    ['no contact for 5.0 s', 'no contact', 'no contact for 2.0 s']
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "closed")

@@ -41,6 +41,10 @@ class ElectrodeWatch(Operator[ElectrodeState]):
 
     A bad window is an alarm at once, a doubtful one if the next is not good either: with windows of 1 s a fault is reported within 2 s. The
     alarm is over after `calm` good windows in a row. Stamped like the window.
+
+    >>> given, made = tried(ElectrodeWatch)
+    >>> len(given["in"]), made[["subject", "state", "what"]][0].item()
+    (60, ('TA', 'on', 'flat line'))
     """
 
     calm: int = param(2, least=1, most=60, help="good windows in a row after which an alarm is over")

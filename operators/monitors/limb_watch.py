@@ -22,6 +22,10 @@ class LimbWatch(OnePerLimb[CycleWatch]):
     """Cycles of several limbs (`closed` of `operators.cycles.limb_cycles.LimbCycles`) and their signal in, alarms out.
 
     Each limb has the alarms of `operators.monitors.cycle_watch.CycleWatch`, by the same parameters; their subject is the limb.
+
+    >>> given, made = tried(LimbWatch)
+    >>> len(given["closed"]), made[["subject", "state", "what"]][0].item()
+    (79, ('left', 'on', 'no contact for 2.0 s'))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "closed")

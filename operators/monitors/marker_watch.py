@@ -49,6 +49,10 @@ class MarkerWatch(Operator[MarkerWatchState]):
               length for a second. Skin moves: heel or ankle to toe varies by up to 13 % in sound walks.
 
     What is not finite, or exactly 0, 0, 0, was not seen.
+
+    >>> given, made = tried(MarkerWatch)
+    >>> given["in"].shape, made[["subject", "state", "what"]][0].item()
+    ((900, 4, 3), ('LTOE', 'on', 'leapt by 0.20 m, to where RTOE was'))
     """
 
     markers: tuple[str, ...] = param((), help="the markers that are watched for leaps; empty: all that have names")

@@ -67,6 +67,10 @@ class PatternWatch(Operator[PatternWatchState]):
     burst. A muscle has one alarm at a time, and another's pattern replaces another size or rest. Where `closed` has stages
     (`operators.cycles.stages.Stages`), these are the stage's first cycles: at another speed of the belt a muscle has another size, but its
     pattern still.
+
+    >>> given, made = tried(PatternWatch)
+    >>> given["cycles"].shape, made[["subject", "state", "what"]][0].item()
+    ((33, 100, 3), ('TA', 'on', 'its curve is that of GM'))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")

@@ -93,6 +93,10 @@ class TimingWatch(Operator[TimingWatchState]):
     `cycles` cycles in a row agree, and once more when it is over; the onset of one about contacts is that of the cycle with which the
     change began, as its latest cycles show. A cycle half a cycle off has no lag. Patterns and their source:
     `operators.monitors.reference_patterns`.
+
+    >>> given, made = tried(TimingWatch)
+    >>> given["cycles"].shape, made[["subject", "state", "what"]][0].item()
+    ((49, 100, 3), ('TA', 'on', 'its curve is rather that of SO'))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")

@@ -68,6 +68,11 @@ class Neighbours(Operator[NeighboursState]):
     ever rebuilt as a whole.
     Source: thesis 2.3.1, which builds one kd-tree of a whole recording; here only what came before is searched, so that a pair is reported
     once, when its later frame comes.
+
+    >>> frames = np.array([0.0, 5.0, 0.1, 5.2])
+    >>> found = Neighbours(k=1, band_s=0.0, window_s=1.0)(frames, rate_hz=30)["nearest"]
+    >>> found["frame"].ravel(), found["distance"].ravel().round(1)
+    (array([-1,  0,  0,  1]), array([nan, 5. , 0.1, 0.2], dtype=float32))
     """
 
     takes = "rows"

@@ -28,7 +28,7 @@ TEXTS = {
     "stand": "stand still for a second, facing the camera",
     "follows": "calibrated; the avatar follows you",
     "lost": "the avatar follows with usual bone lengths; it was not calibrated",
-    "gone": "no person in view: the avatar keeps its pose",
+    "gone": "nobody is seen: the avatar keeps its pose",
 }
 STATES = ("waiting", "stand", "follows", "lost", "gone")
 WAITING, STAND, FOLLOWS, LOST, GONE = range(5)
@@ -142,6 +142,10 @@ class Footing(_Standing):
     Until the calibration is done, or somebody has been seen for `uncalibrated_s` without one, the avatar stands at rest. With `seated` the
     legs are those of someone on a chair, whatever is seen of them. A pose that is not finite is the one before
     it. No bone turns faster than `turn_rad_s`, from the rest to the pose too.
+
+    >>> given, made = tried(Footing)
+    >>> given["pose"][-1, :3].round(2), made["out"][-1, :3].round(2)
+    (array([-0.25,  0.88, -0.11]), array([-0.11,  0.88,  0.01]))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("pose", "joints", "quality")

@@ -68,6 +68,11 @@ class Segment(Operator[SegmentState]):
     over what both frames have; a frame has no neighbour if it lacks more than half of what has been there within `window_s`, and a feature
     that has not is left out, which is logged. A gap longer than `reset_gap_s` ends what is open; exemplars are kept.
     Source: thesis, 2.3 to 2.5. Departures: docs/method/segmentation.md.
+
+    >>> angle = np.sin(2 * np.pi * 0.5 * np.arange(900) / 30)  # 15 times in 30 s
+    >>> made = Segment()(np.stack([angle, angle**2], axis=1), rate_hz=30, units=["rad"])
+    >>> len(made["primitive"])
+    16
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("mirrored", "in")

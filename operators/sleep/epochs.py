@@ -61,6 +61,9 @@ class Epochs(Operator[EpochsState]):
     Epochs begin at whole multiples of `epoch_s` since 1970-01-01 UTC, plus `offset_s`, whatever the first sample's stamp. NaN: fewer than
     `least_seen` of the samples that the rate promises were there (irregular input: of those that came). A silence gives one
     NaN per epoch, up to `reset_gap_s`; beyond, nothing is emitted until samples come again. Delay: one epoch.
+
+    >>> Epochs(epoch_s=2.0, measure="mean")(np.array([1.0, 3.0, 5.0, 7.0]), rate_hz=1, time=np.arange(4) * 10**9)
+    array([2., 6.])
     """
 
     takes = "rows"

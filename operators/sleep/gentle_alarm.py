@@ -43,6 +43,11 @@ class GentleAlarm(Operator[GentleAlarmState]):
     not replace an alarm clock, for it comes only while everything runs.
 
     Delay: an epoch is known at its end. Daylight saving: `at` is a time of the wall clock in `timezone`.
+
+    >>> kind = [("onset", "<i8"), ("sleeper", "<U16"), ("moved_s", "<f8")]
+    >>> epochs = events([23400, 23430, 23460], kind, onset=[23370, 23400, 23430], moved_s=[0, 5, 0])
+    >>> apply(GentleAlarm(at="07:00"), epochs=epochs)["why"].tolist()
+    ['movement']
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("epochs",)

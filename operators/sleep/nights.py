@@ -59,6 +59,11 @@ class Nights(Operator[NightsState]):
     `moving` counts the times that the bed was left. Shorter times than `shortest_h` are no night. A bed of which
     nothing is known (the camera is gone) counts as it was before; a night ends `longest_h` after its beginning at the latest. When
     everything ends while somebody is in bed, the night has no end, and is not reported.
+
+    >>> kind = [("onset", "<i8"), ("sleeper", "<U16"), ("state", "<U7")]
+    >>> bed = events([0, 3600, 32400, 46800], kind, state=["out", "in", "out", "out"])
+    >>> apply(Nights(), bed=bed)["minutes"]
+    array([480.])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("bed", "lights")

@@ -102,6 +102,10 @@ class SleepScorer(Operator[ScorerState]):
 
     With `seen` connected (the output epochs of operators.bed.activity.Activity), movement in the epoch before the first one with a second
     body (`body`) counts as not seen, unless that epoch is final: the other may have come then.
+
+    >>> given, made = tried(SleepScorer)
+    >>> given["in"][:3, 0].round(2), made["state"][made["final"]][:3].tolist()
+    (array([90., 54., 40.]), ['wake', 'wake', 'wake'])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "seen")

@@ -94,6 +94,10 @@ class SleepStatistics(Operator[SleepStatisticsState]):
 
     Lights that stay off longer than `longest_h` are no night, nor is a scheduled one of which nothing was scored: they have no row, and
     the log says so. Memory: `longest_h` of epochs.
+
+    >>> given, made = tried(SleepStatistics)
+    >>> len(given["epochs"]), made[["tib", "tst", "waso"]][0].item()
+    (800, (120.0, 116.0, 4.0))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("epochs", "lights", "periods")

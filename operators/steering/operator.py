@@ -91,6 +91,10 @@ class SteerMesh(_Steered):
     Thesis 9.3 and 9.4, with kernel ridge for the linear maps, and every part placed by its own regression instead of one after the other:
     on the horse that halves the error. Alignment and blending (9.16) are by weights along the surface. Marked vertices are soft constraints
     (9.14): what the mesh is off by at its markers is taken back around them, as far as that helped in frames left out of the training.
+
+    >>> given, made = tried(SteerMesh)
+    >>> given["in"].shape, made["mesh"][-1, 0].round(2)
+    ((60, 18), array([ 0.32, -0.17, -0.51]))
     """
 
     takes = "finite"

@@ -60,6 +60,10 @@ class StepActivity(Operator[StepActivityState]):
     unknown    no finite sample for more than `reset_gap_s`: from the last one
 
     Stamped when it is decided: with a step, or with the first sample after a pause that is long enough.
+
+    >>> given, made = tried(StepActivity)
+    >>> len(given["steps"]), made["activity"][:3].tolist()
+    (29, ['standing', 'walking', 'standing'])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("steps", "signal")

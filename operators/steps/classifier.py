@@ -68,6 +68,10 @@ class StepClassifier(Operator[StepClassifierState]):
     with left-out subjects says "uncertain" at every step.
 
     With a model of persons, `decided` is "nobody enrolled" where the mean probability of the likeliest stays below the model's threshold.
+
+    >>> given, made = tried(StepClassifier)
+    >>> len(given["in"]), made[["likeliest", "steps"]][-1].item()
+    (24, ('a', 19))
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("judgement",)

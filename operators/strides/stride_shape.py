@@ -77,6 +77,10 @@ class StrideShape(Operator[StrideState]):
     has i, i + l, i + 2 l ...
 
     A stride is emitted `late_s` after its end, when late contacts are there; that is its event's stamp, and the declared delay.
+
+    >>> given, made = tried(StrideShape)
+    >>> given["in"].shape, made[["limb", "number"]][0].item(), made["length_m"][0].round(2).item()
+    ((1000, 2, 3), ('left', 1), 1.2)
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "touchdown", "liftoff")

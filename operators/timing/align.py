@@ -66,6 +66,13 @@ class Align(_Joining):
              of an input that declares other axes are turned
 
     No anti-alias filter is in it: a stream that is much faster than the rows should be low-passed first.
+
+    >>> fast, slow = series(np.arange(4.0), rate_hz=100), series(np.array([0.0, 10.0]), rate_hz=50)
+    >>> apply(Align(), a=fast, b=slow)
+    array([[ 0.,  0.],
+           [ 1.,  5.],
+           [ 2., 10.],
+           [ 3., nan]])
     """
 
     delays: ClassVar[str] = "`max_distance_s`; `hold`: no delay"

@@ -44,6 +44,10 @@ class Gate(_Gated):
     What follows looks ahead, and decides late: an envelope needs the signal of 0.23 s more, a touch-down is reported some time after it
     happened. With `tail_s` a signal passes for so long after the closing pulse, and of events with an `onset` those that began before it;
     so the last cycle that ended before the pulse is not lost.
+
+    >>> pulses = events([1.02, 1.05], [("onset", "<i8")])
+    >>> apply(Gate(), pulses=pulses, **{"in": series(np.arange(8.0), rate_hz=100)})[:, 0]
+    array([2., 3., 4.])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("pulses", "in")

@@ -35,6 +35,10 @@ class Pause(_Gate):
 
     Put it before everything else, and nothing in the graph, on the disk or in the network knows what was before the camera meanwhile; what
     follows sees a gap. Samples wait until the switch is known at their time (its heartbeat). No delay otherwise.
+
+    >>> switch = series(np.array([0.0, 1.0, 0.0]), time=10**7 * np.array([0, 102, 105]))
+    >>> apply(Pause(), switch=switch, **{"in": series(np.arange(8.0), rate_hz=100)})[:, 0]
+    array([0., 1., 2., 6., 7.])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "switch")

@@ -51,6 +51,10 @@ class RegionDepth(Operator[RegionState]):
     """Frames (height, width) uint16 in mm in, 0: no measurement; out (2,): the mean depth in a rectangle, the share of valid pixels.
 
     No delay, no state; gaps are passed on as they are. The mean is NaN where fewer than `least_valid` of the region's pixels are valid.
+
+    >>> frame = np.array([[[1000, 1200], [0, 1100]]], np.uint16)
+    >>> RegionDepth()(frame, rate_hz=30, units=["mm"]).tolist()
+    [[1100.0, 0.75]]
     """
 
     row: int = param(0, least=0, help="the region's first row of pixels, from the top")

@@ -85,6 +85,10 @@ class View(Operator[ViewState]):
     steady  the view at the beginning, after darkness, and a minute after a jump
 
     A jump is reported some 3 to 8 s after it; a change below a quarter of a block, or one that takes longer than a minute, is not noticed.
+
+    >>> given, made = tried(View)
+    >>> given["in"].shape, made["what"].tolist()
+    ((360, 12, 16), ['steady', 'moved', 'dark', 'steady'])
     """
 
     dark_s: float = param(10.0, least=2.0, help="for how long next to nothing must be measured")

@@ -64,6 +64,10 @@ class PoseNetwork(Operator[PoseNetworkState]):
     the outline that moves in them and in the depth, within seconds; they are left alone, and the log says so. It is not what the network
     says alone: the depth at every landmark and where the body's shape faces are in it. With `needed: false` a graph runs where the network
     or its runtime is missing, too: every sample is then NaN, and the log reports once what to install.
+
+    >>> given, made = tried(PoseNetwork)
+    >>> given["image"].shape, made["presence"][-1].round(2).item()
+    ((60, 32, 24), 0.9)
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("image", "person")

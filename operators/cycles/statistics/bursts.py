@@ -65,6 +65,10 @@ class CycleBursts(Operator[BurstsState]):
     of the cycle's peak, and ends at half of that. Bursts less than `join_pct` apart are one; what is active at 99 % and at 0 % is one.
 
     A cycle that is reported again, among the latest 64, comes again, and replaces what it gave; not in the baseline.
+
+    >>> bursts = apply(CycleBursts(), **some_cycles(8, 1, seed=1))["bursts"]
+    >>> bursts[["number", "name", "on_pct", "off_pct"]][:2].tolist()
+    [(1, 'TA', 91.0, 60.0), (2, 'TA', 90.0, 60.0)]
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")

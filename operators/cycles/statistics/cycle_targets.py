@@ -58,6 +58,11 @@ class CycleTargets(Operator[TargetsState]):
 
     Reported with the cycle: as late after its closing touch-down as `check` says. One reported again (a person left it out) comes as
     it is then, and counts twice.
+
+    >>> targets = [TargetBand(muscle="TA", low=40.0, high=60.0)]
+    >>> made = apply(CycleTargets(targets=targets), **some_cycles(8, 1, seed=1))["values"]
+    >>> made[:2].round(1).tolist()
+    [[49.6], [49.5]]
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")

@@ -74,6 +74,10 @@ class CycleEnsemble(Operator[EnsembleState]):
     With several limbs (`LimbCycles`) `muscles` has an event per muscle of the cycle's limb; `session` counts the cycles of all limbs.
     A muscle that is missing in a cycle keeps the numbers it had. A second event of one of the latest 64 cycles' numbers replaces the first:
     what was added up of that cycle is taken out again, and its new sample, if it is accepted, comes in.
+
+    >>> made = apply(CycleEnsemble(), **some_cycles(8, 2, seed=1))
+    >>> made["mean"][-1, ::50].round().tolist(), made["muscles"]["cycles"][-1].item()
+    ([[52.0, 74.0], [51.0, 23.0]], 5)
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")

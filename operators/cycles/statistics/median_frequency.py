@@ -52,6 +52,10 @@ class MedianFrequency(Operator[MedianFrequencyState]):
     phase, the speed and the electrode, so compare like cycles. Of several limbs a cycle has its own limb's muscles only. Cycles with a
     gap or a value that is not finite have no event for that muscle. A cycle that is reported again, among the latest 64, replaces what it
     gave. Memory: `longest_s` of signal, twice.
+
+    >>> given, made = tried(MedianFrequency)
+    >>> given["closed"]["duration_s"][0].item(), made["median_hz"][:2].round().tolist()
+    (0.0, [232.0, 274.0])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("signal", "closed")

@@ -49,6 +49,10 @@ class NormativeBands(Operator[NormativeBandsState]):
     The table (CSV) is the laboratory's own: no bands come with this software, since they depend on speed, age, electrodes and filters. Its
     columns are muscle, cycle_pct, and low and high, or mean and sd, with the unit in brackets: "low [% MVC]". The unit must be the
     cycles', which names the normalisation, too; another is refused. With several limbs a row for TA holds for L_TA and R_TA.
+
+    >>> made = apply(NormativeBands.cases()[0].operator, **some_cycles(8, 2, seed=1))
+    >>> made["low"][0, ::50].round().tolist(), made["high"][0, ::50].round().tolist()
+    ([[44.0, 69.0], [44.0, 19.0]], [[56.0, 81.0], [56.0, 31.0]])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")

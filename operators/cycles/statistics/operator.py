@@ -93,6 +93,10 @@ class CycleStatistics(Operator[CycleStatisticsState]):
 
     A second event in `closed` of one of the latest 64 cycles' numbers replaces the first. If it is accepted its numbers come again, from
     its new sample; either way the mean that later deviations are taken from no longer holds what was reported first.
+
+    >>> made = apply(CycleStatistics(), **some_cycles(8, 1, seed=1))
+    >>> made["peak"][:3].round(1).tolist(), made["peak_pct"][:3].tolist()
+    ([85.5, 87.2, nan], [16.0, 24.0, nan])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("judged", "closed", "cycles")

@@ -42,6 +42,10 @@ class StageCurves(Operator[StageCurvesState]):
 
     A cycle across two stages, or outside any, gives nothing. A stage restarts after a cycle of another one. A cycle that is
     emitted again is taken out of its stage's curve as long as that stage is under way; afterwards its curve has gone out as it was.
+
+    >>> given, made = tried(StageCurves)
+    >>> given["cycles"][0, ::50, 0].round().tolist(), made["mean"][-1, ::50, 0].round().tolist()
+    ([45.0, 55.0], [50.0, 49.0])
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")

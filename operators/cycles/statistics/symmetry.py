@@ -68,6 +68,10 @@ class LimbSymmetry(Operator[SymmetryState]):
 
     An amplitude of two muscles is compared as it is: not normalised, electrodes differ too, and the index means less. A cycle that
     is reported again, among the latest 64 of its limb, replaces what it gave. Stamped like the cycle that completes the pair.
+
+    >>> given, made = tried(LimbSymmetry)
+    >>> made[["number", "name", "measure"]][0].item(), made["first"][0].round(1).item(), made["index_pct"][0].round(3).item()
+    ((2, 'TA', 'peak'), 100.5, -0.004)
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics")

@@ -94,6 +94,10 @@ class MixtureDrift(Operator[MixtureDriftState]):
     A cycle that is taken back after the reference was made stays in it. Where `closed` has stages (`operators.cycles.stages.Stages`), the
     reference is that of the stage's `first` cycles: another stage, or a belt speed more than 0.1 m/s different, begins another, and
     ends an alarm. The stored reference stays.
+
+    >>> given, made = tried(MixtureDrift)
+    >>> len(given["mixture"]), made["distance"][["number", "name"]][-1].item()
+    (42, (24, 'SO'))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("maxima", "closed", "cycles", "other", "mixture", "pace")

@@ -73,6 +73,10 @@ class PeakMixtures(Operator[MixturesState]):
 
     Stamps: the cycle's, or that of the sample of `pace` at which the mixture was done. A cycle that comes while another's mixtures are
     not all done replaces it: those that were not done are next fitted with both.
+
+    >>> given, made = tried(PeakMixtures)
+    >>> len(given["maxima"]), made["mixture"][["number", "name", "modes"]][-1].item()
+    (1877, (24, 'GM', 11))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("maxima", "closed", "cycles", "pace")

@@ -82,6 +82,10 @@ class GrowingGraph(_Turning):
     what can be walked.
 
     Source: thesis, chapter 10; Kovar, Gleicher and Pighin 2002.
+
+    >>> given, made = tried(GrowingGraph)
+    >>> len(given["primitive"]), len(made["node"]), len(made["edge"])
+    (20, 20, 328)
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("primitive", "in")

@@ -187,6 +187,10 @@ class Retrieve(_Searching):
     of the query in its own sequence is an answer. A query that names no stretch of one sequence is answered by its end at once. No delay.
 
     Source: thesis, 5.3.4 (poses by a kd-tree). Stretches, the band, and markers chosen with the query are this project's.
+
+    >>> given, made = tried(Retrieve)
+    >>> given["in"][["first", "last"]][0].item(), made[["sequence", "first", "last"]][0].item()
+    ((5, 5), (0, 25, 25))
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out",)

@@ -171,6 +171,10 @@ class PoseGrid(Operator[PoseGridState]):
     Time is counted in whole poses: it learns nothing in a gap. Channels in the input's `meta["missing"]` are left out. No delay.
 
     Source: thesis, 5.3.3; Kohonen 1982. Departure: live, out of a reservoir; the thesis trains on whole recordings.
+
+    >>> given, made = tried(PoseGrid)
+    >>> given["in"][-1].round(1), made["place"][-1].round(1)
+    (array([ 2.1,  3.8,  1.9, -0.6, -0.8]), array([2.2, 0.4]))
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("place", "error", "cells", "poses")

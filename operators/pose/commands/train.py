@@ -74,7 +74,8 @@ def pose(
     write_model(output, "pose", header, {**learned, "landmarks": chosen, "offsets": tree.offsets})
     frames = sum(len(one.features) for one in lessons) // 2
     say(
-        f"{output}: learned from {frames} poses of {len(trained_on)} streams, {len(chosen)} landmarks, {len(learned['centres'])} centres"
+        f"{output}: learned from {frames} poses of {len(trained_on)} streams, for {len(chosen)} landmarks, "
+        f"{len(learned['centres'])} centres"
     )
 
 

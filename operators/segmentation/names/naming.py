@@ -112,6 +112,10 @@ class NameRepetitions(Operator[NamingState]):
     An annotation teaches up to 5 repetitions of the activity under way, those that are final already among them, or of the next one where
     none is under way; up to 32 names. `kinegraph motion label` makes a model of the recording. A repetition longer than `window_s`, or told
     later than that, is unknown, and its numbers NaN.
+
+    >>> given, made = tried(NameRepetitions)
+    >>> len(given["primitive"]), made["repetition"][["repetition", "name"]][-1].item()
+    (17, (3, 'turn'))
     """
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "mirrored", "radius", "annotations", "provisional", "primitive")
