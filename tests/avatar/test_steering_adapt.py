@@ -497,7 +497,7 @@ def test_a_pair_is_held_against_all_others_and_none_is_named_where_two_are_alike
     rival: float, named: tuple[str, str] | None
 ) -> None:
     model = ModelOfDistances({(0, 1): 0.4, (2, 3): rival})
-    marks, names = np.repeat(np.arange(4.0)[:, None], 3, axis=1), ExchangedNames.none()
+    marks, names = np.repeat(np.arange(4.0)[:, None], 3, axis=1), ExchangedNames.empty()
     told = [row for k in range(120) if (row := names.see(model, marks, 1.0, k))]  # type: ignore[arg-type]
     assert [row[1:] for row in told] == ([("exchanged", *named)] if named else [])
 

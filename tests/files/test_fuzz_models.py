@@ -44,7 +44,7 @@ MIXTURES = StreamSpec(
 
 
 def emg(path: Path) -> Reader:
-    references = References.none(1)
+    references = References.empty(1)
     references.modes[:] = 1
     references.covariances[:, :, [0, 2]] = 1.0
     write_references(path, references, ["TA"], MIXTURES.meta, {})
