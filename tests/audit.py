@@ -1,6 +1,6 @@
-"""`python -m tests.audit`: known holes in what is installed, by pip-audit; every package is asked about, and which could not be is said.
+"""`python -m tests.audit`: known holes in what is installed, by pip-audit; packages without an answer are listed.
 
-Ends with 0 only if an answer came for every package and none has a known hole.
+Ends with 0 only if an answer came for every package and no package has a known hole.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def judged(packages: list[dict[str, Any]]) -> tuple[list[str], bool]:
     lines = [*holes, f"{audited} of {len(packages)} packages audited{text}"]
     if unasked and len(unasked) == len(packages):
         lines.append(
-            "the index answers about none of them: it may be a mirror without this service, and no hole is known or ruled out"
+            "the index answers about no package: it may be a mirror without this service, and no hole is known or ruled out"
         )
     elif unasked:
         lines.append(f"the index knows nothing of {len(unasked)}: {', '.join(unasked)}")

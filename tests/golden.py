@@ -112,7 +112,7 @@ def table(
 
 
 def _average(values: Array, show: Callable[[Any], str], is_event: bool) -> str:
-    """Of what is finite; whole numbers of events are counts and codes, and have none."""
+    """Of what is finite; whole numbers of events are counts and codes, without a tolerance."""
     if values.dtype.kind in "iu" and not is_event:
         return f"{values.mean():.2f}"
     return show(_finite(values).mean()) if _finite(values).size else "-"

@@ -98,8 +98,8 @@ def _evaluate_sleep() -> Iterator[str]:
         reported = np.where(rng.random(len(truth)) < 0.1, "wake", np.where(truth == "W", "wake", "sleep"))
         reported[: int(rng.integers(0, 6))] = "sleep"
         write_csv(Path(f"psg{k}.csv"), truth.tolist())
-        write_csv(Path(f"told{k}.csv"), reported.tolist())
-        lines.append(f"told{k}.csv,psg{k}.csv,P{k // 2}")
+        write_csv(Path(f"reported{k}.csv"), reported.tolist())
+        lines.append(f"reported{k}.csv,psg{k}.csv,P{k // 2}")
     Path("nights.csv").write_text("\n".join(lines) + "\n")
     yield "sleep evaluate --nights nights.csv -o all"
 

@@ -60,7 +60,7 @@ SHOWN = {
     "treadmill_emg": {"cycles.closed": 6, "statistics": 9, "quality": 6},
     "overground_emg": {"cycles.closed": 6, "statistics": 9, "symmetry": 6},
 }
-"""Streams of which samples are shown, and how many; of all others it is said how many there are."""
+"""Streams of which samples are shown, and how many; of all others the number is given."""
 
 
 def graphs() -> dict[str, Path]:

@@ -42,7 +42,7 @@ def by_text(text: str) -> str:
 def main() -> None:
     found = {package.name: package for package in distributions()}
     for name, package in sorted(found.items(), key=lambda item: item[0].lower()):
-        print(f"{name} {package.version}: {licence(package) or 'none stated'}")
+        print(f"{name} {package.version}: {licence(package) or 'not stated'}")
 
 
 if __name__ == "__main__":

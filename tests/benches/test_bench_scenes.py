@@ -16,7 +16,7 @@ pytestmark = pytest.mark.quick
 def test_the_truth_is_what_happens() -> None:
     truth = truth_of(Visited(150, ((40.0, 130.0),), moves=(10.0, 58.0, 65.0)))
     assert truth["in_bed_s"].tolist() == [0, 20, 30, 30, 10]
-    assert truth["moved_s"].tolist() == [0, 2, 6, 0, 0], "what moves before somebody is there is nobody's"
+    assert truth["moved_s"].tolist() == [0, 2, 6, 0, 0], "movement before a person is there counts for no one"
 
 
 def test_without_a_visitor_the_frames_are_the_tests_own() -> None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 ELSEWHERE = ["unshare", "--time", "--monotonic", "5000", "--uts", "--fork", "--kill-child"]
-"""What Linux can do: a process whose monotonic clock is 5000 s ahead, on a host that may be called anything."""
+"""What Linux can do: a process with a monotonic clock 5000 s ahead, on a host that may be called anything."""
 
 
 def can_be_elsewhere() -> bool:

@@ -19,7 +19,7 @@ BEGAN = 1_767_225_600 * NS
 
 
 class Arriving(Kept):
-    """A feed whose clock is the script's. `arrivals`: when each chunk of each output was emitted (ns)."""
+    """A feed with the script's clock. `arrivals`: when each chunk of each output was emitted (ns)."""
 
     def __init__(self) -> None:
         super().__init__()

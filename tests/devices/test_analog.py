@@ -105,7 +105,7 @@ NAMES = tuple(f"v{i}" for i in range(6))
 
 
 def test_a_weight_on_a_known_place_is_found_there() -> None:
-    """A force at a point of the surface, turned into the volts of a plate whose origin lies 40 mm below and beside its middle."""
+    """A force at a point of the surface, turned into the volts of a plate with its origin 40 mm below and beside its middle."""
     rng = np.random.default_rng(8)
     origin = np.array([0.01, -0.02, -0.04])
     matrix = np.diag([150.0, 160, 300, 60, 65, 30]) + rng.normal(0, 2, (6, 6))
@@ -130,7 +130,7 @@ def test_two_belts_are_two_plates_of_one_signal() -> None:
     left = run(ForcePlate(both[:6], eye), volts, spec=spec)[2]
     right = run(ForcePlate(both[6:], eye), volts, spec=spec)[2]
     assert left[:, 2].tolist() == [700, 700, 0, 0] and right[:, 2].tolist() == [0, 0, 700, 700]
-    assert np.isnan(left[2:, 6]).all() and left[0, 6] == 0, "nobody stands there"
+    assert np.isnan(left[2:, 6]).all() and left[0, 6] == 0, "the plate is empty"
 
 
 @pytest.mark.parametrize("more", [{"matrix": ((1.0,) * 6,) * 5}, {"zero_v": (1.0,)}, {"origin_m": (1.0,)}])

@@ -43,7 +43,7 @@ def test_the_command_and_its_answers_are_those_of_the_documentation() -> None:
 
 
 def test_the_formula_is_that_of_the_boards_makers_and_leaves_hum_and_drift_out() -> None:
-    """sqrt(2) * rms / 6 nA - 2200 ohm, as OpenBCI's own program has it, of a board whose packets are decoded here."""
+    """sqrt(2) * rms / 6 nA - 2200 ohm, as OpenBCI's own program has it, of a board with packets decoded here."""
     board = CytonModel(impedances_kohm=(30.0, 5.0))
     board.receive(PAIR.command + lead_off(1, True, False) + b"b")
     frames = CytonDecoder().feed(b"".join([*board.say(0.0), *board.say(4.001), b"\xa0"]))

@@ -41,7 +41,7 @@ def test_stamps_follow_the_truth_through_jitter_and_stalls(ppm: float) -> None:
 
 @pytest.mark.parametrize("ppm", [-1500.0, -5000.0, -20000.0, 3000.0])
 def test_a_clock_that_is_no_quartz_is_followed_as_well(ppm: float) -> None:
-    """An Arduino's resonator, or a counter whose rate is not quite the stated one."""
+    """An Arduino's resonator, or a counter with a rate slightly off the stated one."""
     true, device, arrival = link(90, 50, ppm, seed=7)
     stamps, clock = mapped(device, arrival)
     error = np.abs(stamps - true) / NS

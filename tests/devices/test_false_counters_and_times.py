@@ -133,7 +133,7 @@ def test_a_time_that_stands_still_from_the_start_ends_the_session(monkeypatch: p
 def test_a_time_that_stops_in_the_first_seconds_is_named_as_what_it_is(
     stops_s: float, counter: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same was told as a rate of 300 for 250 Hz, or ended in a division by zero."""
+    """The same was reported as a rate of 300 for 250 Hz, or ended in a division by zero."""
     source = AsciiLines("the port", COLUMNS, time="t", counter=counter, rate_hz=RATE)
     brain = lines(lambda s: f"{min(s, stops_s) * 1e6:.0f}")
     with pytest.raises(

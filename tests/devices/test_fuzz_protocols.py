@@ -1,6 +1,6 @@
 """Every protocol, fed with damaged copies of what its device sends: a result or its own error, and the same however the bytes are cut.
 
-KINEGRAPH_FUZZ_PROTOCOLS copies of each are tried, the same ones every time. Where frames can be told from other bytes, undamaged ones that
+KINEGRAPH_FUZZ_PROTOCOLS copies of each are tried, the same ones every time. Where frames differ from other bytes, undamaged ones that
 follow the damage are found again.
 """
 

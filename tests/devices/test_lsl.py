@@ -86,7 +86,7 @@ def test_samples_of_another_process_arrive_as_they_are(name: str) -> None:
 @pytest.mark.skipif(not can_be_elsewhere(), reason="unshare cannot give a process another clock here (it takes root)")
 @pytest.mark.parametrize("host", ["elsewhere", socket.gethostname()])
 def test_the_clock_of_another_computer_is_corrected(name: str, host: str) -> None:
-    """Its clock is 5000 s ahead, truly so; that it may bear this computer's name deceives nobody."""
+    """Its clock is 5000 s ahead, truly so; that it may bear this computer's name does not matter."""
     settings = {"source_id": name, "channels": list(MUSCLES)}
     with process(host, **settings), reading(replace(EMG, source_id=name)) as feed:
         wait_for(lambda: feed.count("out") > 2500 or feed.error is not None)
@@ -102,7 +102,7 @@ def test_the_clock_of_another_computer_is_corrected(name: str, host: str) -> Non
 def test_the_offset_of_two_computers_clocks_stands_in_the_recording(
     name: str, tmp_path: Path, kinegraph: Command
 ) -> None:
-    """Of a computer whose clock is 5000 s ahead of this one's, and of a sender here: `info` tells both, and how far they may be apart."""
+    """Of a computer with a clock 5000 s ahead of this one's, and of a sender here: `info` tells both, and how far they may be apart."""
     one, other = f"{name}-here", f"{name}-there"
     line = "  %s: {use: devices.lsl.LslInlet, source_id: %s, channels: 4, rate_hz: 1000, unit: uV, type: EMG}\n"
     graph = load_text("nodes:\n" + line % ("here", one) + line % ("there", other))

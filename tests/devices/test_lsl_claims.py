@@ -1,4 +1,4 @@
-"""A sender whose samples do not come at the rate that it declares, or whose stamps are of another clock, is named."""
+"""A sender with another rate than it declares, or with stamps of another clock, is named."""
 
 from __future__ import annotations
 

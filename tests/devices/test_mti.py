@@ -1,4 +1,4 @@
-"""Xsens MTi: the source against the simulated sensor, on a serial line, by TCP and on USB; misbehaviour; steps whose truth is known."""
+"""Xsens MTi: the source against the simulated sensor, on a serial line, by TCP and on USB; misbehaviour; steps with known truth."""
 
 from __future__ import annotations
 

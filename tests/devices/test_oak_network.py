@@ -226,7 +226,7 @@ def test_nobody_in_view_is_nan_and_time_goes_on() -> None:
     assert [stamp for _, stamp, _ in found] == [NOW + i * FRAME + 5 for i in range(4)]
     one = standing()
     one[3:] = 0.0
-    assert np.isnan(sights([one])[0][0]).all(), "three points are nobody"
+    assert np.isnan(sights([one])[0][0]).all(), "three points are no person"
 
 
 def test_low_confidence_is_missing() -> None:
@@ -478,7 +478,7 @@ def errors(feed: Kept, camera: SimulatedCamera) -> Samples:
     for time, markers in zip(feed.time("markers").tolist(), feed.data("markers"), strict=True):
         seconds = taken[time] / 30  # a stamp that no depth frame bears is a KeyError
         if seconds < EMPTY_S:
-            assert np.isnan(markers).all(), "nobody is there"
+            assert np.isnan(markers).all(), "no person is there"
         else:
             rows.append(np.linalg.norm(markers[which] - camera.performer.joints(seconds), axis=1))
     return np.array(rows)

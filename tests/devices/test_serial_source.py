@@ -73,7 +73,7 @@ class Device(SerialSource):
     def greet(self, link: Transport, feed: Feed) -> Bytes:
         link.write(b"hello")
         if self.fails:
-            raise DeviceError("nobody there")
+            raise DeviceError("no answer")
         return self.reading
 
     def rest(self, link: Transport, feed: Feed) -> None:
@@ -100,7 +100,7 @@ def test_a_device_is_greeted_read_told_to_stop_and_closed_though_the_cable_is_ou
 
 def test_a_device_that_does_not_answer_is_closed_and_not_told_to_stop() -> None:
     line, reading, raised = session([b"x"], fails=True)
-    assert (line.log, reading.taken, raised) == (["hello", "closed"], [], "nobody there")
+    assert (line.log, reading.taken, raised) == (["hello", "closed"], [], "no answer")
 
 
 @pytest.mark.parametrize(("reads", "shown"), [([b"x", b"a", b"!"], b"a!"), ([b"b" * 80, b"!"], b"b" * 63 + b"!")])

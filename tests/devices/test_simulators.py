@@ -167,7 +167,7 @@ def test_nobody_reading_does_not_hold_a_device_up() -> None:
     with Server(brain, PseudoTerminal()):
         wait_for(lambda: brain.sent > 300)
     line = TcpLine()
-    line.write(b"to nobody")
+    line.write(b"unread")
     line.close()
 
 

@@ -67,7 +67,7 @@ def test_records_are_stamped_as_each_alone(seed: int, wraps_ns: int, counter_bit
 
 
 def test_frames_that_go_on_are_stamped_as_all_others_bit_for_bit() -> None:
-    """Of a belt whose clock drifts, whose frames come late, of which some are missing, and whose clock is set once."""
+    """A belt with a drifting clock that is set once, and with late and missing frames."""
     rng, period = np.random.default_rng(8), NS / 130.0
     quick, slow = PmdStream(130.0, 0.003), PmdStream(130.0, 0.003)
     taken = 0

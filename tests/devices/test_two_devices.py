@@ -34,7 +34,7 @@ COUNTS_PER_S = 50_000
 
 
 class Arriving(Kept):
-    """A feed whose clock is the script's."""
+    """A feed with the script's clock."""
 
     clock = NS
 

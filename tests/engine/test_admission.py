@@ -46,10 +46,10 @@ TABLE = {
     "only time": (chunk([], 9), 4, 0, {}, entered([], 9), 0),
     "no news": (chunk([], 4), 4, 0, {}, None, 0),
     "a watermark that would go back": (chunk([], 3, 2), 4, 0, {}, entered([], 4, 2), 0),
-    "only time, and nobody waits": (chunk([], 9), 4, 0, NO, None, 0),
-    "a sample, and nobody waits": (chunk([5], 9), 4, 0, NO, entered([5], 9), 0),
-    "a gap, and nobody waits": (chunk([], 9, 1), 4, 0, NO, entered([], 9, 1), 0),
-    "the end, and nobody waits": (chunk([], FOREVER), 4, 0, NO, entered([], FOREVER), 0),
+    "only time, without readers": (chunk([], 9), 4, 0, NO, None, 0),
+    "a sample, without readers": (chunk([5], 9), 4, 0, NO, entered([5], 9), 0),
+    "a gap, without readers": (chunk([], 9, 1), 4, 0, NO, entered([], 9, 1), 0),
+    "the end, without readers": (chunk([], FOREVER), 4, 0, NO, entered([], FOREVER), 0),
     "the end twice": (chunk([], FOREVER), FOREVER, 0, {}, None, 0),
 }
 
@@ -58,8 +58,8 @@ FOLLOWED = {
     "data of years ago": (chunk([9], 9), NEVER, 4, entered([4], 4)),
     "data ahead of the clock": (chunk([9], 9), 4, 20, entered([20], 20)),
     "two words between two data": (chunk([9], 9), 20, 20, entered([21], 21)),
-    "nothing was said": (chunk([], 9), 4, 20, entered([], 20)),
-    "nothing was said, and no data came": (chunk([], 9), 20, 20, entered([], 20)),
+    "no sample": (chunk([], 9), 4, 20, entered([], 20)),
+    "no sample, and no data": (chunk([], 9), 20, 20, entered([], 20)),
     "the end": (chunk([], FOREVER), 4, 20, entered([], FOREVER)),
 }
 

@@ -1,4 +1,4 @@
-"""Sessions that are resumed wrongly, run into each other, are ended at any moment, or print where nobody reads."""
+"""Sessions that are resumed wrongly, run into each other, are ended at any moment, or print to a closed output."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from tests.support.command_line import Command
 
 @pytest.fixture
 def garbage() -> Iterator[str]:
-    """A device whose every line is bad."""
+    """A device that sends only bad lines."""
     stop = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(0.1)

@@ -12,7 +12,7 @@ from kinegraph.stream.compiler.fingerprint import fingerprint
 
 
 def taken(root: Path, help_of: str, *, where: str) -> str:
-    """The fingerprint of a function of the package `plugin`, whose helper lies in the package `where`: both installed in a new folder."""
+    """The fingerprint of a function of the package `plugin`, with a helper in the package `where`: both installed in a new folder."""
     folder = root / str(len(list(root.iterdir()))) / "site-packages"
     for package in {"plugin", where}:
         (folder / package).mkdir(parents=True)

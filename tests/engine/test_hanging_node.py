@@ -117,14 +117,14 @@ def started(folder: Path, node: str, options: str, look_s: float = 0.3, stuck_s:
 
 
 def said_until(process: subprocess.Popen[str], words: str) -> str:
-    """What it said up to the line that holds these words."""
+    """Its output up to the line that holds these words."""
     assert process.stderr
     text = ""
     for line in process.stderr:
         text += line
         if words in line:
             return text
-    raise AssertionError(f"it ended with {process.wait()}, and said {text}")
+    raise AssertionError(f"it ended with {process.wait()}, and printed {text}")
 
 
 @pytest.mark.parametrize(

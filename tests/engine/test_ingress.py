@@ -133,7 +133,7 @@ def test_both_ways_give_the_same(seed: int, tmp_path: Path, monkeypatch: pytest.
 
 
 def test_where_nobody_waits_only_samples_enter(tmp_path: Path) -> None:
-    """The annotations of a session that nobody reads: no chunk of the input log says that nothing was typed."""
+    """Annotations without readers: no chunk of the input log says that nothing was typed."""
     outcome, _ = run(0, tmp_path / "s")
     assert outcome.exit_code == 0
     with Recording.open(tmp_path / "s") as recording:
@@ -262,7 +262,7 @@ def test_what_waits_while_another_has_the_turn_enters_together(tmp_path: Path) -
 
 
 class Gathered:
-    """A source's port in a session in which nobody else has the turn; `entered` says how many chunks entered together."""
+    """A source's port in a session with a free turn; `entered` says how many chunks entered together."""
 
     def __init__(self) -> None:
         self.queue = SimpleNamespace(gathered=deque(), limit=256)

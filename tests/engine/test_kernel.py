@@ -1,4 +1,4 @@
-"""Compiled code is never stale: an edit anywhere in the package of a kernel is seen; an empty cache, or none to write to, is no trouble."""
+"""Compiled code is never stale: an edit anywhere in the package of a kernel is seen; an empty or read-only cache is no trouble."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From YAML to a checked graph: what a good one becomes, and what is said of each bad one, with its line."""
+"""From YAML to a checked graph: what a good one becomes, and the error of each bad one, with its line."""
 
 from __future__ import annotations
 
@@ -273,7 +273,9 @@ def test_everything_that_is_wrong_is_told_at_once_in_the_files_order() -> None:
     errors = refused(nodes(text) + "record: [nix]\n")
     assert [error.line for error in errors] == [5, 5, 7, 8, 9, 11]
     assert "cutoff_hz" in str(errors[0]) and "order" in str(errors[1])
-    assert not any(error.node in ("next", "after") for error in errors), "what follows from another fault is not told"
+    assert not any(error.node in ("next", "after") for error in errors), (
+        "what follows from another fault is not reported"
+    )
 
 
 def test_settings_of_the_command_line_replace_the_files() -> None:
@@ -340,7 +342,7 @@ CONTACT = StreamSpec((), np.dtype([("onset", "<i8")]), units=("ns",))
 def test_a_recording_stands_in_for_the_sources() -> None:
     graph = load_text(GOOD, recorded=recorded(board__emg=EMG, board__touchdown=CONTACT, other=EMG))
     assert graph.nodes["low"].specs["out"].channels == ("TA", "GM", "VL")
-    assert graph.nodes["annotations"].specs == {}, "what nobody reads may be absent"
+    assert graph.nodes["annotations"].specs == {}, "an unread source may be absent"
 
 
 def test_a_recording_that_lacks_a_stream_is_refused() -> None:

@@ -146,7 +146,7 @@ nodes:
 def test_an_operator_from_outside_is_opened_once_to_run_and_once_to_be_tried(
     openings: Openings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What it remembers beside its state cannot be put back, so that another one is tried; what it gives is as if none had been."""
+    """What it remembers beside its state cannot be put back, so that another one is tried; its output is that of a new one."""
     openings.watch(load_text(OUTSIDE), monkeypatch)
     graph = load_text(OUTSIDE)
     GIVEN.clear()

@@ -20,7 +20,7 @@ from tests.support.command_line import QUIET, Command
 
 
 class _MuteError(BaseException):
-    """One that cannot even be told."""
+    """One that cannot even be printed."""
 
     def __str__(self) -> str:
         raise RuntimeError("no words")

@@ -64,7 +64,7 @@ def walk(**overrides: object) -> Graph:
 
 
 def wrong(node: str, part: str = "") -> str:
-    """What is said of a graph with this node, which may use parts/mine.yaml."""
+    """The error of a graph with this node, which may use parts/mine.yaml."""
     Path("parts/mine.yaml").write_text(part)
     Path("bad.yaml").write_text(NODES + node)
     with pytest.raises(GraphError) as caught:
@@ -77,7 +77,7 @@ def test_the_nodes_of_a_part_have_the_parts_name_before_theirs(folder: Path) -> 
     computed = ["left.envelope", "left.smooth.low", "right.envelope", "right.smooth.low", "more"]
     assert sorted(graph.nodes) == sorted(["treadmill", "annotations", *computed])
     assert str(graph.nodes["left.smooth.low"].inputs["in"]) == "left.envelope"
-    assert str(graph.nodes["more"].inputs["in"]) == "right.envelope", "a part's first output, where none is named"
+    assert str(graph.nodes["more"].inputs["in"]) == "right.envelope", "a part's first output by default"
     assert [str(edge) for edge in graph.record] == ["left.smooth.low", "left.envelope", "right.envelope"]
     assert graph.page.panels[0]["of"] == ["treadmill.emg", "left.smooth.low"]
 

@@ -1,4 +1,4 @@
-"""Promises that are broken live: an operator or a source that goes wrong after the warm-up ends its session, and loses nobody's data."""
+"""Promises that are broken live: an operator or a source that goes wrong after the warm-up ends its session, and loses no data."""
 
 from __future__ import annotations
 

@@ -401,7 +401,7 @@ def test_what_is_said_before_the_data_waits_for_them(tmp_path: Path) -> None:
 
 
 def test_a_session_is_whole_before_it_runs(tmp_path: Path) -> None:
-    """What is said before `run` is there when it begins, and making a session opens nothing."""
+    """What is typed before `run` is there when it begins, and making a session opens nothing."""
     before = parts.threads()
     session = session_of("  board: {use: parts.Counting}", tmp_path / "s")
     assert session.in_hand() is None and parts.threads() == before and not (tmp_path / "s").exists()
@@ -457,7 +457,7 @@ def test_a_signal_ends_a_session_cleanly(number: int, tmp_path: Path) -> None:
 @pytest.mark.skipif(os.name == "nt", reason="signals as POSIX has them")
 @pytest.mark.parametrize("sent", ["SIGTERM", "SIGHUP"])
 def test_a_session_whose_log_nobody_reads_any_more_ends_all_the_same(sent: str, tmp_path: Path) -> None:
-    """As behind a terminal that was closed: what is said of the signal cannot be written."""
+    """As behind a terminal that was closed: the report of the signal cannot be written."""
     config, folder = tmp_path / "graph.yaml", tmp_path / "s"
     config.write_text("nodes:\n  board: {use: devices.people.treadmill.Treadmill}\n")
     process = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""A graph that is held up for a while by its own work: that is no silence of its sources, and costs none of their samples."""
+"""A graph that is held up for a while by its own work: that is no silence of its sources, and loses no samples."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def images(n: int, size: int) -> list[Chunk]:
 def test_images_wait_by_their_bytes_where_waiting_loses_nothing(
     size: int, policy: Policy, live: bool, waits: int
 ) -> None:
-    """256 images in each queue were several hundred MB in the session of an avatar whose network was slower than its frames came."""
+    """256 images in each queue were several hundred MB in the session of an avatar with a network slower than its frames."""
     queue = BoundedQueue("camera", SimpleQueue(), 90, policy, bound=most_bytes(policy, live=live))
     chunks = images(100, size)
     writer = threading.Thread(target=lambda: [queue.put(chunk) for chunk in chunks])

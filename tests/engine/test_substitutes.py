@@ -1,4 +1,4 @@
-"""Sessions whose images were not recorded: nothing of a frame is on the disk, replay and resume work from the recorded edges."""
+"""Sessions without recorded images: nothing of a frame is on the disk, replay and resume work from the recorded edges."""
 
 from __future__ import annotations
 

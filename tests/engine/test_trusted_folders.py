@@ -1,4 +1,4 @@
-"""What is run: only from folders that nobody else may write; and of files beside a graph it is said before, or they are refused."""
+"""Code runs only from folders that other users cannot write; files beside a graph are announced or refused."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ class Newest:
 
 @dataclass(frozen=True, slots=True)
 class InOrder(Operator[Newest]):
-    """Two signals, whose samples must come in the order of time: an operator may rely on it, and index its memory by it."""
+    """Two signals with samples in the order of time: an operator may rely on it, and index its memory by it."""
 
     inputs: ClassVar[tuple[str, ...]] = ("in", "other")
 

@@ -40,7 +40,7 @@ def texts(name: str, *values: str) -> Made:
 
 
 def usual(markers: int = 2, frames: int = 3, channels: int = 2, per_frame: int = 5) -> list[Made]:
-    """The parameters that a file of so much is read by; of more than 255 channels nothing is said."""
+    """The parameters needed to read such a file; more than 255 channels are not described."""
     made = [
         *(whole("POINT:USED", markers), whole("POINT:FRAMES", min(frames, 0xFFFF)), real("POINT:SCALE", -0.1)),
         *(

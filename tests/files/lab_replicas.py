@@ -1,4 +1,4 @@
-"""Small files in the grammars of laboratories' programs, with invented numbers: none of them is a vendor's file."""
+"""Small files in the grammars of laboratories' programs, with invented numbers; they are not vendors' files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that cannot be imported and exports that would replace something: told, and no half file bears the name."""
+"""Files that cannot be imported and exports that would replace something: reported, and no half file remains."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_table_that_cannot_be(text: str | bytes, words: str, kinegraph: Comman
     (tmp_path / "t.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
     output = kinegraph("files", "import", "t.csv", "-o", "t.mcap")
     refused(output, words)
-    assert not output[2].startswith("\n"), "no trace of a progress bar that nobody can see"
+    assert not output[2].startswith("\n"), "no trace of an invisible progress bar"
     assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
 
 

@@ -131,7 +131,7 @@ def test_events_without_their_times_cost_no_marker(tmp_path: Path, times: Made, 
 
 
 def long(tmp_path: Path, *others: Made, frames: int = 70_000, fill: bytes = b"") -> tuple[int, Findings]:
-    """How many frames are read of a file whose counts of 16 bits ran out."""
+    """How many frames are read of a file with overflown 16-bit counts."""
     data = c3d_bytes(but(usual(1, 70_000, 0), *others), 1, 70_000, 0)
     path, findings = tmp_path / "long.c3d", Findings()
     path.write_bytes(data[: len(data) - 16 * (70_000 - frames)] + fill)
@@ -141,7 +141,7 @@ def long(tmp_path: Path, *others: Made, frames: int = 70_000, fill: bytes = b"")
 
 
 def test_a_recording_of_more_frames_than_a_header_can_count_is_read_to_its_end(tmp_path: Path) -> None:
-    """Whose program says in TRIAL or in LONG_FRAMES how many there are; otherwise the file's length does."""
+    """TRIAL or LONG_FRAMES gives the count, otherwise the file's length."""
 
     def field(which: str, value: int) -> Made:
         return Made("TRIAL", f"ACTUAL_{which}_FIELD", 2, [2], struct.pack("<I", value))

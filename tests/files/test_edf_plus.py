@@ -48,7 +48,7 @@ def test_an_annotation_of_any_length_can_be_written(tmp_path: Path, length: int)
     for n in (1, 333, 960, 1117):
         facts = archive.Facts("n", EVENING, 30.0, "UTC", switched=[[EVENING + n // 2 * STEP, "x" * length]])
         edf = written(tmp_path, facts, night(n))
-        assert len(edf.signals[0].data) == n and len(edf.annotations) == n + 1, "no epoch is padded, none is missing"
+        assert len(edf.signals[0].data) == n and len(edf.annotations) == n + 1, "no epoch is padded or missing"
         assert [len(a.text) for a in edf.annotations if not a.text.startswith("Sleep stage")] == [length]
 
 

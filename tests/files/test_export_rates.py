@@ -23,7 +23,7 @@ EMG = StreamSpec((2,), rate_hz=1000.0, channels=("TA", "GM"), units=("uV",))
 
 
 def stamps(n: int, true_hz: float, jitter: float, seed: int = 1) -> Times:
-    """Of a device whose clock runs at another rate than it declares, each up to `jitter` periods off."""
+    """A device with another clock rate than it declares, each up to `jitter` periods off."""
     away = np.random.default_rng(seed).uniform(-jitter, jitter, n)
     return START + np.round((np.arange(n) + away) * NS / true_hz).astype(np.int64)
 

@@ -1,4 +1,4 @@
-"""Animations of glTF files become recordings of meshes: our own, those of three.js, and such as nobody should write."""
+"""Animations of glTF files become recordings of meshes: our own, those of three.js, and malformed ones."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def test_an_inertial_sensors_channels_have_a_unit_each(tmp_path: Path) -> None:
     with imported(tmp_path, file, *signal) as recording:
         assert recording.streams["s.imu"].spec.units == ("m/s2", "m/s2", "rad/s", "rad/s")
     with imported(tmp_path, file, *signal[:-1], "µV,uV,uV,uV", "--overwrite") as recording:
-        assert recording.streams["s.imu"].spec.units == ("uV",), "one unit is said once"
+        assert recording.streams["s.imu"].spec.units == ("uV",), "one unit is given once"
 
 
 @needs_data

@@ -93,7 +93,7 @@ def test_times_are_in_the_unit_of_the_header(tmp_path: Path, unit: str) -> None:
             "bad.csv: 'bad:time' is in 'frames', which is not a unit of time; .* --time-unit bad=UNIT",
         ),
         ("0,1\n0.1,2\n", "bad.csv: line 1: the first line must name the columns, but holds the number 0"),
-        ("time,a,\n0,1,2\n", "bad.csv: line 1: every column needs a name of its own; number 3 has none"),
+        ("time,a,\n0,1,2\n", "bad.csv: line 1: every column needs a name of its own; number 3 has no name"),
         ("", "bad.csv: the file is empty"),
         ("a,b\n1,2\n", "when its samples were taken is not known; give --rate"),
         ("time,a\n", "no samples"),

@@ -1,4 +1,4 @@
-"""Every file of the folder of real exports against what an independent reader found in it (truth.json, whose README names the readers)."""
+"""Every file of the folder of real exports against what an independent reader found in it (truth.json; its README names the readers)."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ def test_c3d(name: str) -> None:
     lines = [(f"{side} {label}".lower().replace(" ", "_"), t) for side, label, t in truth.get("events", [])]
     lines += [(label.lower(), t) for label, t in truth.get("header_events", [])]
     mine = [(part, t / NS) for part, one in found.items() if one.spec.is_event for t in one.data["onset"].tolist()]
-    if lines or name != "c3d/dec_real.c3d":  # whose header holds events that the truth's reader does not see
+    if lines or name != "c3d/dec_real.c3d":  # its header holds events that the truth's reader does not see
         assert sorted(part for part, _ in mine) == sorted(part for part, _ in lines)
         np.testing.assert_allclose([t for _, t in sorted(mine)], [t for _, t in sorted(lines)], atol=1e-5)
-    assert "subject" not in findings.facts, "a name is nobody's business"
+    assert "subject" not in findings.facts, "names are private"
 
 
 def test_the_same_recording_of_three_kinds_of_processors() -> None:

@@ -240,7 +240,7 @@ def test_a_package_is_not_imported_under_its_bare_name(package: str) -> None:
 
 
 COMMANDS = {"commands", "evaluation", "setup"}
-"""Rooms within operators/ whose modules read and write files: commands, and what only commands use."""
+"""Folders within operators/ with modules that read and write files: commands, and what only commands use."""
 FILES = {"open", "read_text", "read_bytes", "write_text", "write_bytes", "savez", "savefig", "fromfile"}
 READERS = (
     "kinegraph.stream.recording",

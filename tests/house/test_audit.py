@@ -63,7 +63,7 @@ def test_an_audit_that_cannot_ask_fails(tmp_path: Path) -> None:
         ({"numpy": [], "bvh": [], "rich": []}, ["3 of 3 packages audited; known holes: 0"], 0),
         ({"numpy": [], "rich": []}, ["2 of 3 packages audited; known holes: 0", "knows nothing of 1: bvh"], 1),
         ({"rich": [HOLE]}, ["rich 1.0: PYSEC-2099-1, mended in 2.1.0", "1 of 3", "knows nothing of 2: numpy, bvh"], 1),
-        ({}, ["0 of 3 packages audited", "answers about none of them"], 1),
+        ({}, ["0 of 3 packages audited", "answers about no package"], 1),
         ({"numpy": [], "bvh": [], "rich": [HOLE]}, ["3 of 3 packages audited; known holes: 1"], 1),
     ],
 )  # fmt: skip

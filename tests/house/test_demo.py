@@ -51,7 +51,7 @@ def test_it_opens_the_browser_at_the_page_and_loses_a_second(
     assert code == 0 and "lost on purpose" in output, output
     (fault,) = conducted["graph"].nodes["treadmill"].part.faults
     assert (fault.kind, fault.for_s) == ("lost", 1.0)
-    assert conducted["duration_s"] == demos.UNATTENDED_S, "nobody is there to end it"
+    assert conducted["duration_s"] == demos.UNATTENDED_S, "it cannot be ended by hand"
     assert conducted["simulate"] and any("kinegraph view recordings/" in line for line in conducted["farewell"])
     conducted["begun"]()
     assert opened == [conducted["pages"][0].address] and "token=" in opened[0]
@@ -118,9 +118,9 @@ def test_a_person_watches_cycles_a_gap_and_finds_the_report_on_the_page(tmp_path
             "what is over is not late"
         )
         assert not browser.value("!!document.querySelector('input[aria-label=annotation]')"), (
-            "nobody can mark it any more"
+            "it takes no marks any more"
         )
         assert browser.value("document.getElementById('status').textContent").startswith("the session has ended")
         assert browser.complaints == []
-        assert re.search(r"kinegraph view recordings/treadmill_emg-\S+", process.said)
+        assert re.search(r"kinegraph view recordings/treadmill_emg-\S+", process.output)
         assert process.stop() == 0

@@ -170,7 +170,7 @@ import typer
 from kinegraph.stream.cli import main as cli, registry
 import kinegraph
 assert pathlib.Path(kinegraph.__file__).is_relative_to(sys.prefix), kinegraph.__file__
-told = 0
+count = 0
 for name in registry.names():
     found = registry.function_of(name)
     under = [c.name for c in found.registered_commands] if isinstance(found, typer.Typer) else []
@@ -179,8 +179,8 @@ for name in registry.names():
         with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
             cli.call(name, [*words[1:], "--help"])
         assert f"kinegraph {' '.join(words)}" in text.getvalue(), (words, text.getvalue())
-        told += 1
-print(told, "helps")
+        count += 1
+print(count, "helps")
 """
 EVERY_GRAPH = """
 from pathlib import Path

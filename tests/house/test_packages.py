@@ -1,4 +1,4 @@
-"""Other people's code: skeletons whose own tests pass, and a package, built and installed on the spot, that adds a part of each kind."""
+"""Other people's code: skeletons with tests that pass, and a package, built and installed on the spot, that adds a part of each kind."""
 
 from __future__ import annotations
 

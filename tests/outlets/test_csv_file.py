@@ -23,7 +23,7 @@ EMG = StreamSpec((2,), rate_hz=1000.0, channels=("TA", "SO"), units=("uV",))
 
 
 def chunk(first: int, n: int, spec: StreamSpec = EMG, lost: int = 0) -> Chunk:
-    """Samples whose values follow from their number."""
+    """Samples with values that follow from their number."""
     index = np.arange(first, first + n)
     time = START + index * 1_000_000
     values = np.sin(index[:, None] + np.arange(spec.shape[0])) * 100

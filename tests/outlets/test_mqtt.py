@@ -74,7 +74,7 @@ def counts(client: Listener) -> list[int]:
 
 
 def vanish(made: MqttOutlet) -> None:
-    """As a killed process does: the socket closes, and nobody says good-bye."""
+    """As a killed process does: the socket closes, without a good-bye."""
     link = made.runtime.link
     assert link and link._client
     link._stopping.set()
@@ -122,7 +122,7 @@ def test_what_is_told_is_retained_and_told_again_when_home_assistant_starts(tmp_
             late.say("homeassistant/status", "online")
             late.wait(lambda: sum(topic == config for topic, *_ in late.messages) >= 2)
             late.wait(lambda: sum(topic == f"{PREFIX}/asleep/state" for topic, *_ in late.messages) >= 2)
-        assert len(counts(late)) <= 1  # the history is not told again
+        assert len(counts(late)) <= 1  # the history is not sent again
 
 
 def test_the_broker_says_when_we_vanish(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_a_switch_is_switched_and_remembers(tmp_path: Path) -> None:
 
     state, command, config = f"{PREFIX}/lights/state", f"{PREFIX}/lights/set", "homeassistant/switch/bed/lights/config"
     with broker(tmp_path) as mosquitto, listening(mosquitto.port) as client:
-        client.say(command, "OFF", retain=True)  # an old command is none
+        client.say(command, "OFF", retain=True)  # an old command is ignored
         source = switch(mosquitto.port)
         with reading(source) as feed:
             home_assistant.check(config, json.loads(client.wait_for(config)))
@@ -425,8 +425,8 @@ def test_a_password_stands_nowhere_but_in_its_file(tmp_path: Path) -> None:
                 cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             )  # fmt: skip
             seen = (Path("/proc") / str(process.pid) / "cmdline").read_bytes()
-            told = process.communicate(timeout=120)[0]
-            assert secret.encode() not in told + seen
+            output = process.communicate(timeout=120)[0]
+            assert secret.encode() not in output + seen
             with Recording.open(tmp_path / f"s-{len(word)}") as recording:
                 assert secret not in json.dumps([recording.header, recording.log], default=str)
             for file in (tmp_path / f"s-{len(word)}").rglob("*"):

@@ -147,7 +147,7 @@ def test_modes_are_ellipses_from_half_a_cycle_before_to_half_a_cycle_after() -> 
     peaks.add("distance", np.array([("TA", 0.25, 0.125, np.nan)], moved))
     report.modes = [peaks.of("TA").tolist(), peaks.of("SO").tolist()]
     report.grids = [peaks.grid("uV")]
-    assert len(report.modes[0]) == 2 and report.modes[1] == [], "only the newest cycle's, and none where none is known"
+    assert len(report.modes[0]) == 2 and report.modes[1] == [], "only the newest cycle's, and empty if unknown"
     text = Page(render(report, curves)).text
     assert "50 ± 2 %: 70 ± 4 (70%); 98 ± 3 %: 80 ± 5 (30%)" in text and "0.250" in text and "0.125" in text
     place, height = _ellipse(98.0, 80.0, 3.0, 5.0, 0.2)

@@ -1,4 +1,4 @@
-"""What a session looks like on a terminal, and where there is none."""
+"""What a session looks like on a terminal, and without one."""
 
 from __future__ import annotations
 

@@ -64,7 +64,7 @@ def test_a_ttl_pulse_starts_and_ends_what_is_measured() -> None:
 def test_a_cycle_that_ends_just_before_the_closing_pulse_is_told_where_the_gate_has_a_tail(
     tail_s: float, expected: int
 ) -> None:
-    """The pulse comes 20 ms after a touch-down, which is reported another 10 ms later; what began after it is not told."""
+    """The pulse comes 20 ms after a touch-down, which is reported another 10 ms later; what began after it is not reported."""
     n, touch = 20_000, contacts(np.arange(0.5, 20, 1.1))
     time = stamps(n)
     close = int(touch[1][13]) + NS // 50

@@ -53,7 +53,7 @@ class FoxgloveProcess(PageProcess):
 
 def test_a_client_of_foxgloves_protocol_gets_what_is_recorded(tmp_path: Path) -> None:
     (tmp_path / "small.yaml").write_text(GRAPH)
-    log = tmp_path / "said.txt"
+    log = tmp_path / "output.txt"
     command = [str(KINEGRAPH), "run", "small.yaml", "--view", "none", "-o", "s", "--foxglove"]
     with (
         log.open("w") as out,

@@ -1,5 +1,5 @@
 """`kinegraph view` through its socket, of damaged recordings and of sound ones that a stranger made up: an answer to every look, or a line
-that says why there is none; never a traceback, never much memory or time.
+that says why it is empty; never a traceback, never much memory or time.
 
 `make fuzz` tries for longer: KINEGRAPH_FUZZ_S seconds, with other seeds every day.
 """
@@ -150,7 +150,7 @@ META: dict[str, list[Any]] = {
 
 
 def _drawn(name: str, chance: random.Random) -> Series:
-    """A stream as nobody would record one."""
+    """A stream that no one would record."""
     shape = chance.choice([(), (0,), (1,), (3,), (7,), (11,), (5000,), (2, 3), (1, 3), (0, 3), (4, 4), (2, 2, 2)])
     dtype = np.dtype(chance.choice(["<f8", "<f4", "<f2", "<i8", "|i1", "|b1", "<u2", "<c16", "|S3", "<U2"]))
     if not shape:

@@ -182,7 +182,7 @@ def test_a_pose_is_queried_and_the_others_are_found_with_it(page: LiveBrowser) -
     picked = page.value("Number(document.body.dataset.picked)")
     assert len(found) == 20 and found[0][3] <= found[-1][3] < 0.05
     assert {s for s, *_ in found} - {0}, "other sequences, too"
-    assert all(abs(a - picked) > 30 or a // 480 != picked // 480 for _, a, _, _ in found), "none in the band"
+    assert all(abs(a - picked) > 30 or a // 480 != picked // 480 for _, a, _, _ in found), "nothing in the band"
     put(page, "stretch (s)", 0.8)
     page.value("document.getElementById('nearest').click()")
     page.wait("document.body.dataset.near && JSON.parse(document.body.dataset.near).some(([, a, b]) => b > a)")

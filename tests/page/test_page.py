@@ -1,4 +1,4 @@
-"""The page of a running session: what a browser draws, what people do in it, and that nobody who looks changes what the graph gives."""
+"""The page of a running session: what a browser draws, what people do in it, and that clients do not change the graph's output."""
 
 from __future__ import annotations
 

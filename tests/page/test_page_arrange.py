@@ -1,4 +1,4 @@
-"""What a person arranges on the page, said as the section `page:`, makes the page look so."""
+"""An arrangement made on the page, written as the section `page:`, gives the same page."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def older(path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A performer, whose true poses an avatar follows, recorded."""
+    """A recorded performer with an avatar that follows the true poses."""
     folder = tmp_path_factory.mktemp("avatar")
     (folder / "avatar.yaml").write_text(GRAPH)
     command = [str(KINEGRAPH), "run", "avatar.yaml", "--view", "none", "-o", "s"]

@@ -1,4 +1,4 @@
-"""A client that reads slowly, on a real socket: it gets fewer and newer views, the page says so in words, and nobody else is held up."""
+"""A client that reads slowly, on a real socket: it gets fewer and newer views, the page says so, and other clients are not held up."""
 
 from __future__ import annotations
 

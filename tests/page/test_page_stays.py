@@ -1,4 +1,4 @@
-"""A page on a terminal stays when its session has ended, says so and links the report; where nobody could end it, it ends by itself."""
+"""A page on a terminal stays when its session has ended, says so and links the report; without a terminal it ends by itself."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def second(k: int) -> Chunk:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """40 s of a signal that lacks the 25th, frames whose pixels are their number, and a mark."""
+    """40 s of a signal that lacks the 25th, frames with their number as pixels, and a mark."""
     folder = tmp_path_factory.mktemp("view") / "s"
     recorder = Recorder(folder, {"graph": "", "session": {"subject": "<i>S1</i>"}}, RecordingOptions(), wait=True)
     signal = recorder.add_stream("emg", SIGNAL, "input")

@@ -27,12 +27,12 @@ from kinegraph.devices.frames.declared import Field, Frame
 from kinegraph.devices.frames.layout import FrameLayout
 FRAMES = [FrameLayout(Frame("A5 5A", (Field("u8", role="counter"), Field("i16", "x")), "m", checksum="sum8")),
           FrameLayout(Frame("A5", (Field("u16", "y"),), "b", footer="0D"))]
-def said(decoder, pieces):
+def decoded(decoder, pieces):
     found = [decoder.feed(piece) for piece in pieces]
-    return {said}
+    return {decoded}
 def one(data):
     at = data[0] % len(data) if data else 0
-    assert said({make}, [data]) == said({make}, [data[:at], data[at:]])
+    assert decoded({make}, [data]) == decoded({make}, [data[:at], data[at:]])
 atheris.Setup(sys.argv, one)
 atheris.Fuzz()
 """
@@ -61,7 +61,7 @@ TARGETS = {
 def test_no_bytes_are_found_that_break_it(module: str, tmp_path: Path) -> None:
     make, reported = TARGETS[module]
     program = tmp_path / "fuzz.py"
-    program.write_text(PROGRAM.format(module=module, make=make, said=reported), encoding="utf-8")
+    program.write_text(PROGRAM.format(module=module, make=make, decoded=reported), encoding="utf-8")
     done = subprocess.run(
         [sys.executable, str(program), f"-max_total_time={SECONDS}", "-max_len=2048", "-verbosity=0"],
         capture_output=True,

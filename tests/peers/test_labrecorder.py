@@ -71,7 +71,7 @@ def test_pyxdf_finds_what_was_sent(files: tuple[Path, Path]) -> None:
             first = int(np.argmin(np.abs(time_ - stamps[0])))
             n = len(stamps)
             assert n > 1000 * SECONDS
-            assert np.array_equal(found["time_series"], data[first : first + n]), "every bit, none missing"
+            assert np.array_equal(found["time_series"], data[first : first + n]), "every bit, without a gap"
             assert np.abs(stamps - time_[first : first + n]).max() < 5_000
             assert float(found["info"]["nominal_srate"][0]) == 2000
             assert abs(found["info"]["effective_srate"] - 2000) < 1

@@ -163,6 +163,6 @@ def performance(seconds: float) -> tuple[Array, Array]:
 
 
 def no_images(graph: kg.Graph, edge: str) -> kg.Series:
-    """A camera's grey images of which none arrived: what remains is depth."""
+    """A camera without any grey image: what remains is depth."""
     spec = graph.specs[edge]
     return kg.Series("", spec, np.empty(0, np.int64), np.empty((0, *spec.shape), spec.dtype))

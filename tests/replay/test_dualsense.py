@@ -1,6 +1,6 @@
 """configs/dualsense.yaml: a game controller's inertial unit, smoothed; its USB reports are declared in the graph, without a driver.
 
-Recording: of the controller there is none that may be kept. A phone's six axes in a walker's pocket (GeoTec; CC BY 4.0) stand in for it, in
+Recording: no recording of the controller may be kept. A phone's six axes in a walker's pocket (GeoTec; CC BY 4.0) stand in for it, in
 the controller's units and at its 250 Hz. How reports are decoded is tested in tests/devices/test_usb.py.
 Truth: scipy's filter on the same samples, and numpy's reading of which way is down.
 """

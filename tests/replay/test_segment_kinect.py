@@ -1,6 +1,6 @@
 """configs/segment_kinect.yaml: what somebody does before a depth camera, from the joints that it sees.
 
-Recording: of a Kinect there is none that may be kept. A workout of CMU's motion capture (subject 13; labels of mocap6, BSD-2) is seen as a
+Recording: no recording of a Kinect may be kept. A workout of CMU's motion capture (subject 13; labels of mocap6, BSD-2) is seen as a
 Kinect sees it: 20 joints with 5 mm of noise, 28 to 30 frames a second, every fiftieth joint lost.
 Truth: the labels, made by hand.
 """

@@ -2,7 +2,7 @@
 
 Recordings: subject 13 of CMU's motion capture database in two workouts, 31 joints at 30 Hz; the labels are of M. Hughes's mocap6 (BSD-2),
 made by hand, one exercise after another without a pause.
-Truth: those labels; how well they and the graph's activities agree is scikit-learn's figure. Nobody labelled single repetitions.
+Truth: those labels; how well they and the graph's activities agree is scikit-learn's figure. Single repetitions are not labelled.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """configs/witmotion_ble.yaml: a Bluetooth inertial sensor, acceleration, angular velocity and angles in one packet, smoothed.
 
-Recording: of the sensor there is none that may be kept. A phone in a walker's pocket (GeoTec; CC BY 4.0) stands in for it, at 50 Hz; its
+Recording: no recording of the sensor may be kept. A phone in a walker's pocket (GeoTec; CC BY 4.0) stands in for it, at 50 Hz; its
 stamps come in bursts, as arrivals by Bluetooth do. How packets are decoded is tested in tests/devices/test_ble_protocols.py.
 Truth: scipy's filter on the same samples.
 """

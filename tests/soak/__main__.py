@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--uses", nargs="*", default=[use.name for use in USES], help="which of the uses")
     parser.add_argument("--only", nargs="*", choices=KINDS, default=KINDS, help="which kinds of faults")
     parser.add_argument("--pace", type=float, default=1.0, help="how many times as often as usual they happen")
-    parser.add_argument("--hours", type=float, default=10.0, help="so many of each use, as fast as they go; 0: none")
+    parser.add_argument("--hours", type=float, default=10.0, help="so many of each use, as fast as they go; 0: skip")
     parser.add_argument("--no-hours", action="store_true", help="the same as --hours 0")
     parser.add_argument("--keep", type=Path, help="keep everything in this folder")
     given = parser.parse_args()

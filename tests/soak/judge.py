@@ -29,7 +29,7 @@ LOST_DATA = 5
 class Judged:
     """What came of one use: the ledger of each stream, what each calm kill cost (s), and what does not hold.
 
-    damaged    lines whose digits were damaged on the way; a line has no checksum
+    damaged    lines with digits damaged on the way; a line has no checksum
     """
 
     name: str
@@ -120,7 +120,7 @@ def _complain(judged: Judged, watched: Watched, index: Times, dropped: int) -> N
 
 
 def _end(path: Path) -> str:
-    """The last lines of what a process said."""
+    """The last lines of a process's output."""
     return "\n".join(path.read_text(errors="replace").splitlines()[-12:])
 
 

@@ -88,7 +88,7 @@ def _sum(one: int, other: int) -> int:
 
 
 def mended(index: Times, lost: Times, most: int) -> tuple[Times, int]:
-    """Indices of lines whose digits were damaged on the way, which lines without a checksum cannot show, as their marks say; how many.
+    """Indices of lines with digits damaged on the way, which lines without a checksum cannot show, as their marks say; how many.
 
     Half a line, cut off where a stopped process's terminal was full, may join the next one into numbers: an index of `most` or more. If the
     line was another than its mark says, the next one does not balance.
@@ -102,7 +102,7 @@ def mended(index: Times, lost: Times, most: int) -> tuple[Times, int]:
 
 
 def by_stamps(times: Times, lost: Times, rate_hz: float) -> Times:
-    """The index of each sample of a stream whose stamps lie on a grid of `rate_hz`; a gap of unknown size counts as none.
+    """The index of each sample of a stream with stamps on a grid of `rate_hz`; a gap of unknown size counts as 0.
 
     What a source offers that begins its grid where it is opened is not known for the time in between.
     """

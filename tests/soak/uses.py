@@ -31,7 +31,7 @@ class Use:
 
     live     settings that make it run in real time
     hours    settings that make so many `{seconds}`, or `{hours}`, of it run as fast as they can
-    regular  its sources' streams whose stamps lie on a grid
+    regular  its sources' streams with stamps on a grid
     """
 
     name: str

@@ -61,7 +61,7 @@ class Held:
 
 
 def waited(pid: int) -> dict[str, int]:
-    """How long (ns) each thread of a process has waited for a processor so far; of none, where the system does not say."""
+    """How long (ns) each thread of a process has waited for a processor so far; empty if the system does not say."""
     found = {}
     for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
         with suppress(OSError):

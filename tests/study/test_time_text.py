@@ -65,7 +65,7 @@ ELSEWHERE = {"stream/text/time_text.py", "devices/formats/edf/edf_plus.py", "str
 
 
 def test_every_length_and_clock_time_goes_through_one_formatter() -> None:
-    """Nobody else divides by 60 to write a text."""
+    """No other module divides by 60 to write a text."""
     found = []
     for package in ("stream", "devices", "operators"):
         for path in (HOUSE / package).rglob("*.py"):

@@ -19,7 +19,7 @@ def stamps(n, rate=1000.0, start=0):
 
 
 def contacts(seconds, side="right", late=0.0):
-    """Contact events at `seconds`, told `late` s afterwards."""
+    """Contact events at `seconds`, reported `late` s afterwards."""
     onset = np.round(np.asarray(seconds, float) * NS).astype(np.int64)
     return StreamSpec((), CONTACT, units=("ns",), meta={"side": side}), onset + round(late * NS), onset.view(CONTACT)
 

@@ -24,7 +24,7 @@ def event(port: str, stamp_s: float, **fields: Any) -> Chunk:
 
 
 def training() -> list[tuple[str, Chunk]]:
-    """Three squats, named, one of them taken back and told again; rest; arms under way."""
+    """Three squats, named, one of them taken back and reported again; rest; arms under way."""
     parts = [("provisional", event("provisional", 3, onset=1, end=3, activity=1, repetition=0))]
     for k in (1, 2, 3):
         end = 1 + 2 * k

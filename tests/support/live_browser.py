@@ -37,7 +37,7 @@ class NavigatedAway(Exception):
 
 class LiveBrowser:
     """One tab. `complaints` are the errors of the page that is open, whatever the console would show in red; `unmended` those of all pages
-    that were; `fetched` the addresses that it asked for, other than the one it was told to open."""
+    that were; `fetched` the addresses that it asked for, other than the one it had to open."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket, self._number = socket, 0
@@ -191,7 +191,7 @@ def live_browser(folder: Path, allowed: str = "") -> Iterator[LiveBrowser]:
             ) as socket:
                 browser = LiveBrowser(socket)
                 yield browser
-                browser.value("1")  # what it has said until now is heard
+                browser.value("1")  # its output until now has arrived
                 unmended = [text for text in browser.unmended if not (allowed and re.search(allowed, text))]
                 assert not unmended, unmended
         finally:

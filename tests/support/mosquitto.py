@@ -37,7 +37,7 @@ class Mosquitto:
     """A broker on a port of this computer, which may be stopped and started; it remembers retained messages over that."""
 
     def __init__(self, folder: Path, port: int = 0, password: str = "") -> None:
-        """`password`: that of the only user who may connect, `me`; none: everybody may."""
+        """`password`: that of the only user who may connect, `me`; empty: everybody may."""
         self.port = port or free_port()
         self._config = folder / "mosquitto.conf"
         kept = folder / "broker"
@@ -88,7 +88,7 @@ def broker(folder: Path) -> Iterator[Mosquitto]:
 
 
 class Listener:
-    """A plain MQTT client: `said` is every (topic, text, retained) in the order of arrival."""
+    """A plain MQTT client: `messages` is every (topic, text, retained) in the order of arrival."""
 
     def __init__(self, port: int) -> None:
         self.messages: list[tuple[str, str, bool]] = []
@@ -109,7 +109,7 @@ class Listener:
             self._news.notify_all()
 
     def texts(self, topic: str) -> list[str]:
-        """What was said live under a topic."""
+        """Live messages of a topic."""
         with self._news:
             return [text for name, text, _ in self.messages if name == topic]
 
@@ -119,7 +119,7 @@ class Listener:
             assert self._news.wait_for(holds, PATIENCE_S), self.messages[-20:]
 
     def wait_for(self, topic: str, text: str | None = None) -> str:
-        """Until something (or `text`) was said under a topic; gives what was said last."""
+        """Wait for a message (or `text`) of a topic; returns the last one."""
         self.wait(lambda: any(name == topic and text in (None, reported) for name, reported, _ in self.messages))
         return self.texts(topic)[-1]
 

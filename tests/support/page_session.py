@@ -89,7 +89,7 @@ def page_process(
     **environment: str,
 ) -> Iterator[PageProcess]:
     """`kinegraph` with these arguments and a page, at a free port; it is gone afterwards. `terminal`: its standard input and output."""
-    log = folder / "said.txt"
+    log = folder / "output.txt"
     command = [str(program), *map(str, arguments), "--page-at", at]
     with (
         log.open("w") as out,
@@ -112,7 +112,7 @@ def page_process(
 
 @contextmanager
 def a_terminal() -> Iterator[int]:
-    """A terminal that shows what is written to it, to nobody."""
+    """A terminal that discards what is written to it."""
     ours, theirs = os.openpty()
 
     def show() -> None:
@@ -131,7 +131,7 @@ def a_terminal() -> Iterator[int]:
 
 
 def see(client: ClientConnection, *, width_ns: int = 0) -> dict[str, Any]:
-    """Look at every stream; what the session said in greeting."""
+    """Look at every stream; returns the session's greeting."""
     hello, _ = decode(client.recv(timeout=PATIENCE_S))
     client.send(json.dumps({"do": "see", "streams": {str(i): width_ns for i in range(len(hello["streams"]))}}))
     return hello

@@ -221,7 +221,7 @@ def numbers(name: str = "out") -> list[int]:
 
 
 def lost(name: str = "out") -> list[int]:
-    """The gaps it was told of."""
+    """The gaps in its input."""
     return [chunk.lost for chunk in seen.get(name, []) if chunk.lost]
 
 

@@ -1,4 +1,4 @@
-"""A walk of two legs whose muscles begin and end within 30 ms, as real ones do, and contacts that may be swapped or late for a while."""
+"""A walk of two legs with muscles that begin and end within 30 ms, as real ones do, and contacts that may be swapped or late."""
 
 from __future__ import annotations
 
