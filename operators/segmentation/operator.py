@@ -33,13 +33,13 @@ class Segment(Operator[SegmentState]):
     in           features
     mirrored     input, optional: the same through operators.features.mirror.Mirror, for `side` and `symmetry`
     activity     final, one after another without holes: onset, end (ns; the stamp of the last frame that belongs to it), activity (its
-                 number, from 0), repeats (whether repetitions were found), cluster (of its last repetition; -1: none), repetitions,
+                 number, from 0), repeats (whether repetitions were found), cluster (of its last repetition; or -1), repetitions,
                  transition (a stretch between activities no longer than `transition_s`), forced (ended by a gap or the end of the stream),
                  symmetry (of most of its repetitions; 1: both sides do the same at once, 2: in turn, 3: not; 0: not known),
                  certainty (0 to 1, by how near its repetitions come to one another; 0: motion of random phases comes as near, so that it
                  is not sure that anything was repeated)
-    primitive    final: onset, end, activity, repetition (1, 2, ...; 0: a part that is none, or an activity that does not repeat), cluster
-                 (-1: none), forced, side. A repetition in which the sides take turns is reported as two steps of the same number, with
+    primitive    final: onset, end, activity, repetition (1, 2, ...; 0: outside repetitions, or no repeats), cluster
+                 (or -1), forced, side. A repetition in which the sides take turns is reported as two steps of the same number, with
                  side 1 (where more moves in the first of each pair: left, or A) and 2; else side is 0
     bout         final: repetitions that follow one another without a pause longer than their cycle: onset, end, activity, bout (1, 2, ...
                  in the activity), repetitions (in it), cluster
@@ -56,7 +56,7 @@ class Segment(Operator[SegmentState]):
 
     A frame's neighbours are the frames up to `cycle_s` before it within the radius, outside of a band around the diagonal; distances are
     Euclidean, divided by the root of the number of features (the thesis's generalised radius, 2.3.1). An activity opens when, of the newest
-    `cycle_s`, frames worth `mass_s` have neighbours in it; it ends when there are none for `quiet_s` and no path along its cycle is under
+    `cycle_s`, frames worth `mass_s` have neighbours in it; it ends without such frames for `quiet_s` and no path along its cycle is under
     way; growing backward finds its start. Its cycle is the shortest lag at which it comes back to itself. The first cycle is kept as an
     exemplar, one per cluster, and repetitions are shortest warping paths along it, so that they are counted however long ago the first one
     was, and cut at one phase in all activities of a cluster.

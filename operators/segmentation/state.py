@@ -23,9 +23,9 @@ FEW = 5
 class SegmentState(Continuity):
     """memory: see layout.py; longest: ns, of a transition; mirrored: the newest mirror image (features,), if any; its stamp.
 
-    absent: features (features,) of which it has been said that nothing comes; names: theirs. cut: activities; sure: repetitions of
+    absent: features (features,) already reported as missing; names: theirs. cut: activities; sure: repetitions of
     those that are certain; judged, doubtful: activities that repeated, and those of them that chance might have made; warned:
-    whether that has been said.
+    whether that was reported.
     """
 
     memory: Remembered
@@ -41,7 +41,7 @@ class SegmentState(Continuity):
     warned: bool = False
 
     def say_missing(self, learnt: int) -> None:
-        """Which features are left out, as nothing has come of them for a window, or since the start: said once each."""
+        """Warn once about each feature that is left out because it had no value for a window, or since the start."""
         memory = self.memory
         if memory.present == self.width or max(memory.next_frame, memory.recent_count) < learnt * memory.learn:
             return

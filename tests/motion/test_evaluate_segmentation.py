@@ -285,7 +285,7 @@ LABEL = np.repeat([0, -1, 1], 10)
         ({"label": LABEL, "t_us": np.arange(30).clip(1)}, "`t_us` must be a row of times that grow"),
         ({"tag_frame": np.array([3, -4]), "rate": 30.0}, "`tag_frame` names frames that do not exist"),
         ({"label": np.full(30, -1), "rate": 30.0}, "holds no annotations"),
-        ({"x": LABEL}, "there are none of them"),
+        ({"x": LABEL}, "there are other arrays"),
     ],
 )
 def test_archives_that_cannot_be_annotations_are_refused(tmp_path, arrays, message):

@@ -51,7 +51,7 @@ def label(
     The repetitions found in the given seconds are kept as examples.
 
     kinegraph motion label session "squat=12.0-30.5" "arms=1-12" -o exercises.npz
-    kinegraph motion label session                       (by what was said while it ran: "this is: squat")
+    kinegraph motion label session                       (by annotations made while it ran: "this is: squat")
 
     Then name the model in the graph: `model: exercises.npz` of operators.segmentation.names.naming.NameRepetitions. The same name may be
     given several times.
@@ -64,10 +64,10 @@ def label(
         raise KinegraphError(f"{output} exists; --overwrite replaces it, --out names another file")
     with Recording.open(recording) as opened:
         spec, time, frames = _features(opened, features)
-        told, radius = _repetitions(opened, node)
-        chosen = _chosen(wanted or _said(opened, told), told, _zero(opened), recording)
-        found = {name: _cut(told[mine], time, frames) for name, mine in chosen.items()}
-        steps = {name for name, mine in chosen.items() if _sides(told[mine]).all()}
+        repetitions, radius = _repetitions(opened, node)
+        chosen = _chosen(wanted or _annotated(opened, repetitions), repetitions, _zero(opened), recording)
+        found = {name: _cut(repetitions[mine], time, frames) for name, mine in chosen.items()}
+        steps = {name for name, mine in chosen.items() if _sides(repetitions[mine]).all()}
     model = taught(list(found.items()), radius)
     try:
         model.write(output, spec, recording.name)
@@ -99,35 +99,35 @@ def read_shown(text: str) -> Exemplar:
     return made
 
 
-def _said(recording: Recording, told: Array) -> list[Exemplar]:
+def _annotated(recording: Recording, repetitions: Array) -> list[Exemplar]:
     """What annotations name: the activity that was under way at each, or what ended or began beside it, as while the session ran."""
-    from kinegraph.operators.segmentation.names.taught import fit_for_name, said
+    from kinegraph.operators.segmentation.names.taught import fit_for_name, name_in
 
     marks = [entry[0].data for entry in recording.entries("annotations")] if "annotations" in recording.streams else []
     zero, named = _zero(recording), dict[int, str]()
     for mark in [mark for data in marks for mark in data]:
-        name = said(str(mark["text"]))
-        if fit_for_name(name) and (number := _meant(told, int(mark["onset"]), named)) is not None:
+        name = name_in(str(mark["text"]))
+        if fit_for_name(name) and (number := _meant(repetitions, int(mark["onset"]), named)) is not None:
             named[number] = name
     if not named:
         raise KinegraphError(
             f"{recording.path}: no annotation names an exercise; mark it while it is done (this is: squat), or give NAME=FROM-TO"
         )
-    spans = [(name, told[told["activity"] == number]) for number, name in named.items()]
+    spans = [(name, repetitions[repetitions["activity"] == number]) for number, name in named.items()]
     return [Exemplar(n, (t["onset"].min() - zero) / 1e9, (t["end"].max() - zero) / 1e9) for n, t in spans]
 
 
-def _meant(told: Array, said_at: int, named: dict[int, str]) -> int | None:
-    """The activity that a name said at this time is of; some have a name already."""
+def _meant(repetitions: Array, said_at: int, named: dict[int, str]) -> int | None:
+    """The activity named by an annotation at this time; some have a name already."""
     import numpy as np
 
     from kinegraph.operators.segmentation.names.taught import of_what_ended
 
-    before, after = told[told["onset"] <= said_at], told[told["onset"] > said_at]
+    before, after = repetitions[repetitions["onset"] <= said_at], repetitions[repetitions["onset"] > said_at]
     if not len(before):
         return int(after["activity"][0]) if len(after) else None
     last = int(before["activity"][-1])
-    ended = int(told["end"][told["activity"] == last].max())
+    ended = int(repetitions["end"][repetitions["activity"] == last].max())
     after = after[after["activity"] != last]
     begins = int(after["onset"][0]) if len(after) else np.iinfo(np.int64).max
     if of_what_ended(said_at, ended, begins, last in named and len(after) > 0):
@@ -182,29 +182,31 @@ def _repetitions(recording: Recording, node: str) -> tuple[Array, float]:
         raise KinegraphError(
             f"{recording.path}: holds no repetitions; record the segmentation's `primitive` and `radius`"
         )
-    told = [entry[0].data for entry in recording.entries(name)]
-    table = np.concatenate(told) if told else np.empty(0, recording.stream(name).spec.dtype)
+    repetitions = [entry[0].data for entry in recording.entries(name)]
+    table = np.concatenate(repetitions) if repetitions else np.empty(0, recording.stream(name).spec.dtype)
     found = [entry[0].data["radius"] for entry in recording.entries(radii)] if radii else []
     values = np.concatenate(found) if found else np.empty(0)
     return table[table["repetition"] > 0], float(np.median(values)) if len(values) else 0.0
 
 
-def _chosen(shown: list[Exemplar], told: Array, zero: int, recording: File) -> dict[str, Array]:
+def _chosen(shown: list[Exemplar], repetitions: Array, zero: int, recording: File) -> dict[str, Array]:
     """By name, which of the repetitions are shown. Raises KinegraphError where one of them would have two names."""
     import numpy as np
 
     chosen: dict[str, Array] = {}
     for one in shown:
-        chosen[one.name] = chosen.get(one.name, np.zeros(len(told), bool)) | _within(one, told, zero, recording)
+        chosen[one.name] = chosen.get(one.name, np.zeros(len(repetitions), bool)) | _within(
+            one, repetitions, zero, recording
+        )
     names = list(chosen)
     for k, name in enumerate(names):
         for other in names[:k]:
-            if len(both := told[chosen[name] & chosen[other]]):
+            if len(both := repetitions[chosen[name] & chosen[other]]):
                 at = (both["onset"][0] - zero) / 1e9
                 raise KinegraphError(
                     f"{other} and {name}: the repetition at {at:.1f} s cannot be both; their seconds must not overlap"
                 )
-        kinds = np.unique(told["cluster"][chosen[name] & (told["cluster"] >= 0)])
+        kinds = np.unique(repetitions["cluster"][chosen[name] & (repetitions["cluster"] >= 0)])
         if len(kinds) > 1:
             say(
                 f"{name}: its repetitions are of {len(kinds)} kinds, as the segmentation tells them apart; are the seconds right?"
@@ -212,31 +214,33 @@ def _chosen(shown: list[Exemplar], told: Array, zero: int, recording: File) -> d
     return chosen
 
 
-def _within(one: Exemplar, told: Array, zero: int, recording: File) -> Array:
+def _within(one: Exemplar, repetitions: Array, zero: int, recording: File) -> Array:
     """Which repetitions have their middle in the seconds given; of two steps each is one."""
-    middle = ((told["onset"] + told["end"]) / 2.0 - zero) / 1e9
+    middle = ((repetitions["onset"] + repetitions["end"]) / 2.0 - zero) / 1e9
     mine: Array = (middle >= one.first_s) & (middle <= one.last_s)
     if not mine.any():
         times = ", ".join(f"{m:.1f}" for m in middle[:8])
         raise KinegraphError(
             f"{recording}: no repetition was found between {one.first_s:g} and {one.last_s:g} s"
-            + (f"; there are some at {times} s" if times else "; none were found at all")
+            + (f"; there are some at {times} s" if times else "; there are no others")
         )
     return mine
 
 
-def _sides(told: Array) -> Array:
+def _sides(repetitions: Array) -> Array:
     """Which step of a repetition each is; 0: a whole one."""
     import numpy as np
 
-    sides: Array = told["side"] if "side" in (told.dtype.names or ()) else np.zeros(len(told), np.int32)
+    sides: Array = (
+        repetitions["side"] if "side" in (repetitions.dtype.names or ()) else np.zeros(len(repetitions), np.int32)
+    )
     return sides
 
 
-def _cut(told: Array, time: Array, frames: Samples) -> list[Samples]:
+def _cut(repetitions: Array, time: Array, frames: Samples) -> list[Samples]:
     """The frames of each; steps of one side before those of the other, so that some of both are kept where not all are."""
     import numpy as np
 
-    told = told[np.argsort(_sides(told), kind="stable")]
-    spans = [np.searchsorted(time, [event["onset"], event["end"] + 1]) for event in told]
+    repetitions = repetitions[np.argsort(_sides(repetitions), kind="stable")]
+    spans = [np.searchsorted(time, [event["onset"], event["end"] + 1]) for event in repetitions]
     return [np.ascontiguousarray(frames[first:last]) for first, last in spans if last - first > 1]

@@ -112,7 +112,7 @@ def _wanted(
         table,
         _rows,
         words=("RESULT", "TRUTH", "--table"),
-        holds=("recordings", "which truth is whose"),
+        holds=("recordings", "which truth belongs to which result"),
         names=_names,
     )
 

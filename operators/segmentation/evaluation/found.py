@@ -25,7 +25,7 @@ class Found:
     """Segments in order, seconds from the recording's start; every end is the next one's start where nothing lies between.
 
     activities  (n, 2)   start and end; `transition` (n,): a short stretch between two others
-    primitives  (m, 2)   start and end; `cluster` (m,), -1: none; `repetition` (m,), 0: no repetition; `second` (m,): the second step of
+    primitives  (m, 2)   start and end; `cluster` (m,), or -1; `repetition` (m,), 0: no repetition; `second` (m,): the second step of
                          the same repetition as the one before
     features, time       what was segmented, if it was recorded: (frames, width), (frames,)
     own                  of stacked features, the first column of offset 0, and the one after its last
@@ -98,7 +98,7 @@ def read_found(path: Path, node: str = "", features: str = "") -> Found:
 
 
 def second_steps(primitive: Array) -> Array | None:
-    """Which primitives are the second step of the same repetition as the one before; None where sides are not told."""
+    """Which primitives are the second step of the same repetition as the one before; None without sides."""
     if "side" not in (primitive.dtype.names or ()):
         return None
     second = np.zeros(len(primitive), bool)
@@ -118,7 +118,7 @@ def merged(cluster: Array, merges: Iterable[tuple[int, int]]) -> Array:
 
 
 def _events(recording: StoredSession, fields: set[str], node: str, *, needed: bool = False) -> Array:
-    """The events of the only stream that has these fields (of this node); an empty array where there is none."""
+    """The events of the only stream that has these fields (of this node); an empty array without one."""
     names = [
         name
         for name, stream in recording.streams.items()

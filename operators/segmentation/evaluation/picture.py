@@ -30,7 +30,7 @@ def draw(name: str, found: Found, truth: Truth | None, radius: float = np.nan) -
     """The picture of one recording: above the matrix, if features are known, below them the signals with their bars.
 
     Matrix: pairs of frames within the radius, the nearer the darker; green squares are activities, red lines primitives; beside it the
-    annotated actions. Bars: annotated actions (black: transition), activities (black: transition), primitives by cluster (grey: none).
+    annotated actions. Bars: annotated actions (black: transition), activities (black: transition), primitives by cluster (grey: without).
     """
     from matplotlib.figure import Figure
 

@@ -25,7 +25,7 @@ class Scores:
 
     f1, precision, recall  of boundaries within 1 s of an annotated one, one to one, the nearest pairs first
     covering      the annotated segments' best overlap (intersection over union) with one found, weighted by their length
-    strict        frames whose label is that of most of their unit, transitions being a label of their own; cutting often pleases it
+    strict        frames with the label of most of their unit, transitions being a label of their own; cutting often pleases it
     tolerant      the same, frames of transitions counting as right wherever they are
     repetitions   mean |found - counted| repetitions per annotated action; `within_1`: share of actions where that is at most 1
     distance_s    from each annotated start and end to the next cut; `overlap`: share of an action in the unit that holds most of it (2.6.4)
@@ -70,7 +70,7 @@ def score(found: Found, truth: Truth) -> Scores:
 
 
 def boundary_f1(found: Samples, truth: Samples, tolerance_s: float = TOLERANCE_S) -> tuple[float, float, float]:
-    """F1, precision and recall of boundaries: each is matched at most once, the nearest pairs first. 1 where there are none at all."""
+    """F1, precision and recall of boundaries: each is matched at most once, the nearest pairs first. 1 without any."""
     if not len(found) or not len(truth):
         same = float(len(found) == len(truth))
         return same, same if len(found) == 0 else 0.0, same if len(truth) == 0 else 0.0

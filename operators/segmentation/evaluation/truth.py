@@ -26,9 +26,9 @@ class Truth:
 
     start, end   (n,)   of each action
     label        n names; what lies between actions is a transition, or uncertain
-    repetitions  (n,)   how often it was repeated; NaN where nobody counted
+    repetitions  (n,)   how often it was repeated; NaN where not counted
     keys         (m,)   key points, one in each repetition
-    cuts         (b,)   where annotators saw one action go over into another, if they said so
+    cuts         (b,)   where annotators marked that one action turns into another
     """
 
     start: Samples
@@ -64,7 +64,7 @@ def read_truth(path: Path, offset_s: float = 0.0) -> Truth:
     """Annotations from a CSV table or an NPZ archive; `offset_s` is added to its times.
 
     CSV: columns start_s, end_s, label, and perhaps repetitions; a row without end_s is a key point. NPZ: `label`, a number for each frame
-    at `rate` Hz, names in `label_names`, -1 for transitions; perhaps `label_cut`, the same without transitions, whose changes are then
+    at `rate` Hz, names in `label_names`, -1 for transitions; perhaps `label_cut`, the same without transitions: its changes are then
     the boundaries; and, or instead, `tag_frame`, the frames of key points, at `rate` or with times in `t_us`. Raises KinegraphError with
     file and line.
     """
@@ -125,7 +125,7 @@ def _npz(path: Path) -> tuple[Rows, Samples, Samples | None]:
         found = arrays(path, ("label", "label_cut", "label_names", "rate", "tag_frame", "t_us"))
     if not {"label", "tag_frame"} & found.keys() or not {"rate", "t_us"} & found.keys():
         raise KinegraphError(
-            f"{path}: `label` or `tag_frame` is needed, and `rate` or `t_us`; there are {', '.join(found) or 'none of them'}"
+            f"{path}: `label` or `tag_frame` is needed, and `rate` or `t_us`; there are {', '.join(found) or 'other arrays'}"
         )
     _check(path, found)
     clock = (found["t_us"] - found["t_us"][0]) / 1e6 if "t_us" in found else None

@@ -16,7 +16,7 @@ LONGER = 3
 @kernel
 def apart(x: Samples, y: Samples, out: Samples) -> None:
     """Distances `out` (n, m) of frames x (n, features) to frames y (m, features): Euclidean, over the root of the number of features
-    that both have; infinity where they have none in common."""
+    that both have; infinity where they have no feature in common."""
     for i in range(x.shape[0]):
         for j in range(y.shape[0]):
             squares, common = 0.0, 0

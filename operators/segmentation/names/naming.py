@@ -20,8 +20,8 @@ from kinegraph.operators.segmentation.names.taught import (
     Taught,
     fit_for_name,
     grown,
+    name_in,
     of_what_ended,
-    said,
 )
 from kinegraph.operators.segmentation.outputs import BELIEVED, PRIMITIVE, RADIUS
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec
@@ -45,7 +45,7 @@ SPAN = np.dtype([("onset", "<i8"), ("end", "<i8"), ("activity", "<i8"), ("repeti
 DUE, DUE_NS = 1.5, 10**9
 """An exercise goes on for this many repetitions after its newest one ended, and this long, as it takes a while to see one."""
 REMEMBERED = 16
-"""This many final repetitions are remembered, for a name that is said after them."""
+"""This many final repetitions are remembered, for a name that is given after them."""
 TURNS = Path(__file__).with_name("turns.npz")
 """Two turns of a made-up signal, taught as "turn": what the cases are named by."""
 NONE, COMING = -1, -2
@@ -59,11 +59,11 @@ class NamingState:
     """
     recent, images   the newest frames, and their mirror images
     model            the exercises by which repetitions are named; None: nothing was shown
-    told             (REMEMBERED,) the newest final repetitions, a ring; n_told: how many there were
-    lesson, of       a name that was said, and the activity that is it
-    said_at, held    when it was said, ns, while it is not certain what it is of, and the newest activity then; NEVER: it is certain
+    latest           (REMEMBERED,) the newest final repetitions, a ring; n_told: how many there were
+    lesson, of       a name that was given, and its activity
+    given_at, held   when it was given, ns, while its activity is uncertain, and the newest activity then; NEVER: it is certain
     before, formerly the model before it, and what that activity was called; named: by a model
-    now, count, last the newest activity of which a repetition was told, that repetition's number, and its end, ns
+    now, count, last the newest activity with a reported repetition, that repetition's number, and its end, ns
     took, called     how long that took, ns; what the activity was called last
     radius           of the newest activity; period: ns; features: their names
     """
@@ -71,11 +71,11 @@ class NamingState:
     recent: RecentFrames
     images: RecentFrames
     model: Taught | None
-    told: Array
+    latest: Array
     n_told: int
     lesson: str
     of: int
-    said_at: int
+    given_at: int
     held: int
     before: Taught | None
     formerly: str
@@ -101,7 +101,7 @@ class NameRepetitions(Operator[NamingState]):
     provisional  of it: repetitions as soon as they are believed
     primitive    of it: repetitions, or their steps, when they are final
     believed     at once: activity, repetition, name, sure (0 to 1)
-    repetition   final: onset, end, activity, repetition, cluster, side, as told; name and sure; distance (to the nearest repetition of that
+    repetition   final: onset, end, activity, repetition, cluster, side, as reported; name, sure; distance (to the nearest one of that
                  name that was shown, in the features' unit; NaN without a model), duration_s, range (of the feature that moves most, in its
                  unit), moves (which one that is), symmetry (0 to 1: how alike both sides move, at once or in turn; of two steps, with
                  the second; NaN: not known) and whole_s (duration_s, of the second of two steps with the first)
@@ -110,7 +110,7 @@ class NameRepetitions(Operator[NamingState]):
     are named by letters: A, B, ..., what is believed by that of the repetition before it. Two repetitions are compared by warping in
     time, from whichever phase of the cycle is best.
     An annotation teaches up to 5 repetitions of the activity under way, those that are final already among them, or of the next one where
-    none is under way; up to 32 names. `kinegraph motion label` makes a model of the recording. A repetition longer than `window_s`, or told
+    no activity is under way; up to 32 names. `kinegraph motion label` makes a model of it. A repetition longer than `window_s`, or reported
     later than that, is unknown, and its numbers NaN.
 
     >>> given, made = tried(NameRepetitions)
@@ -157,7 +157,7 @@ class NameRepetitions(Operator[NamingState]):
                 recent=RecentFrames.of(ring, spec.shape[0]),
                 images=RecentFrames.of(ring if "mirrored" in specs else 1, spec.shape[0]),
                 model=Taught.read(Path(self.model), "in", spec) if self.model else None,
-                told=np.zeros(REMEMBERED, SPAN), n_told=0, lesson="", of=NONE, said_at=NEVER, held=NONE, before=None,
+                latest=np.zeros(REMEMBERED, SPAN), n_told=0, lesson="", of=NONE, given_at=NEVER, held=NONE, before=None,
                 formerly="", named=False, now=NONE, count=0, last=NEVER, took=0, called="", radius=0.0,
                 period=spec.period_ns, features=list(names_of(spec)),
             ),
@@ -194,16 +194,16 @@ class NameRepetitions(Operator[NamingState]):
         What goes on is not certain in a pause, or when it has a name: then the next repetition decides.
         """
         s = self.state
-        name = said(str(event["text"]))
+        name = name_in(str(event["text"]))
         if not name:
             return []
         known = s.model.names if s.model else []
         if not fit_for_name(name) or (name not in known and len(known) >= MOST_NAMES):
             log.warning("not taught: a name has 1 to 24 letters, and there are at most 32", name=name)
             return []
-        s.said_at, s.held, s.before, s.formerly = int(event["onset"]), s.now, s.model, s.called
+        s.given_at, s.held, s.before, s.formerly = int(event["onset"]), s.now, s.model, s.called
         s.named = s.model is not None and s.called not in ("", UNKNOWN)
-        goes_on = s.now != NONE and not s.named and s.said_at - s.last < DUE * s.took + DUE_NS
+        goes_on = s.now != NONE and not s.named and s.given_at - s.last < DUE * s.took + DUE_NS
         s.lesson = name
         is_of(s, s.now if goes_on else COMING)
         return [named(s.of, s.count, name, 1.0)] if goes_on else []
@@ -220,8 +220,8 @@ class NameRepetitions(Operator[NamingState]):
         span = np.zeros((), SPAN)
         for field in SPAN.names or ():
             span[field] = event[field]
-        before = s.told[(s.n_told - 1) % REMEMBERED].copy()
-        s.told[s.n_told % REMEMBERED] = span
+        before = s.latest[(s.n_told - 1) % REMEMBERED].copy()
+        s.latest[s.n_told % REMEMBERED] = span
         s.n_told += 1
         shown = s.model
         if s.of == event["activity"]:
@@ -247,7 +247,7 @@ class NameRepetitions(Operator[NamingState]):
         return [row]
 
     def _at(self, event: Array) -> list[Array]:
-        """A repetition of this activity was told: it is the one under way. What is corrected by it."""
+        """Note that a repetition of this activity was reported; returns the corrections that follow."""
         s = self.state
         if counted_again(s, event):
             is_of(s, int(event["activity"]))
@@ -279,7 +279,7 @@ class NameRepetitions(Operator[NamingState]):
         return answer
 
     def _symmetry(self, event: Array, before: Array) -> float:
-        """Of a repetition; of one that was told as two steps, with the second."""
+        """Symmetry of a repetition; of one reported as two steps, with the second."""
         s = self.state
         onset = int(event["onset"])
         if event["side"] > 0:
@@ -308,32 +308,32 @@ def is_second_step(event: Array, before: Array) -> bool:
 
 
 def is_of(s: NamingState, activity: int) -> None:
-    """The name that was said is that of an activity: its repetitions so far are examples."""
+    """Give the name to an activity: its repetitions so far are examples."""
     s.of = activity
-    for span in s.told[: min(s.n_told, REMEMBERED)]:
+    for span in s.latest[: min(s.n_told, REMEMBERED)]:
         if span["activity"] == activity:
             learn(s, span)
 
 
 def decide(s: NamingState, event: Array) -> list[Array]:
-    """A repetition has come: it decides what the name is of that was said before it ended. What had been believed wrongly, corrected."""
+    """Let a repetition decide the activity of a name given before it ended; returns corrections of wrong beliefs."""
     activity = int(event["activity"])
-    if s.said_at == NEVER or (activity <= s.held and event["end"] <= s.said_at):
+    if s.given_at == NEVER or (activity <= s.held and event["end"] <= s.given_at):
         return []
-    ended = activity <= s.held or of_what_ended(s.said_at, s.last, int(event["onset"]), s.named)
+    ended = activity <= s.held or of_what_ended(s.given_at, s.last, int(event["onset"]), s.named)
     mine = s.held if ended else activity
     taken_back = s.of not in (COMING, mine)
     if taken_back:
         s.model = s.before
     if s.of != mine:
         is_of(s, mine)
-    s.said_at, s.before = NEVER, None
+    s.given_at, s.before = NEVER, None
     return [named(s.held, 1, s.formerly, 0.0)] if taken_back and s.formerly else []
 
 
 def counted_again(s: NamingState, event: Array) -> bool:
-    """Whether what was believed of the activity that a name was given to is now told of a later one: a stretch had come between."""
-    final = (s.told["activity"][: min(s.n_told, REMEMBERED)] == s.of).any()
+    """Whether repetitions of the named activity are now reported in a later one, after a stretch in between."""
+    final = (s.latest["activity"][: min(s.n_told, REMEMBERED)] == s.of).any()
     return bool(s.lesson and 0 <= s.of < event["activity"] and not final and event["onset"] + s.took < s.last)
 
 
@@ -365,14 +365,14 @@ def _cases(cls: type[NameRepetitions]) -> list[Case]:
     x = np.stack([np.sin(turn + k) for k in range(3)], 1)
     spec = StreamSpec((3,), rate_hz=30.0, units=("cm",))
     ends = np.arange(60, n - 40, 30)
-    told = np.zeros(len(ends), PRIMITIVE)
-    told["onset"], told["end"], told["repetition"] = time[ends - 30], time[ends], 1 + np.arange(len(ends)) % 7
+    latest = np.zeros(len(ends), PRIMITIVE)
+    latest["onset"], latest["end"], latest["repetition"] = time[ends - 30], time[ends], 1 + np.arange(len(ends)) % 7
     believed = np.zeros(len(ends), BELIEVED)
     for field in SPAN.names or ():
-        believed[field] = told[field]
+        believed[field] = latest[field]
     events = {
         "provisional": (StreamSpec((), BELIEVED), time[ends + 5], believed),
-        "primitive": (StreamSpec((), PRIMITIVE), time[ends + 30], told),
+        "primitive": (StreamSpec((), PRIMITIVE), time[ends + 30], latest),
     }
     inputs = {"in": (spec, time, x), **events}
     marks = np.zeros(60, ANNOTATION)

@@ -29,7 +29,7 @@ class RecentFrames:
         self.seen[0] += len(chunk)
 
     def span(self, onset: int, end: int) -> Samples:
-        """The frames (n, features) from a stamp to another; none, where the first of them has left the ring."""
+        """The frames (n, features) from a stamp to another; empty if the first of them has left the ring."""
         newest = int(self.seen[0])
         order = np.arange(max(0, newest - len(self.stamps)), newest) % len(self.stamps)
         stamps = self.stamps[order]

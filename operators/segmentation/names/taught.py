@@ -26,7 +26,7 @@ MOST_SHOWN = 5
 SAID = re.compile(r"this is\b:?\s*(\S.*)", re.IGNORECASE)
 """An annotation that names what is being done."""
 LATELY_NS = 10 * 10**9
-"""A name that is said after an exercise is its name, unless that ended so long ago."""
+"""A name given after an exercise belongs to it, unless it ended longer ago than this."""
 REACHES = 1.5
 """A repetition is of an exercise if it lies no further from those shown than REACHES times as far as they do from each other (median), or
 than the radius that they were found with; and nearer than to any other exercise. By the median, one of them that is unlike the
@@ -86,7 +86,7 @@ class Taught:
         return nearest
 
     def distance_from(self, x: Samples, name: str) -> float:
-        """How far repetition x (n, features) lies from the nearest one of this name; NaN: none of it was shown."""
+        """How far repetition x (n, features) lies from the nearest one of this name; NaN if the name is unknown."""
         return float(self.distances(x)[self.names.index(name)]) if name in self.names else math.nan
 
     def call(self, distances: Samples) -> tuple[str, float, float]:
@@ -160,18 +160,18 @@ def fit_for_name(name: str) -> bool:
     return 0 < len(name) <= MOST_LETTERS and name != UNKNOWN and name.isprintable()
 
 
-def said(text: str) -> str:
+def name_in(text: str) -> str:
     """What an annotation calls the exercise: of "this is: squat" squat; "" where it says nothing of the kind."""
     found = SAID.fullmatch(text.strip())
     return found[1].strip() if found else ""
 
 
-def of_what_ended(said_at: int, ended: int, begins: int, has_name: bool) -> bool:
-    """Whether a name that was said before an exercise had `ended`, or in the pause until the next one `begins`, is that of the former.
+def of_what_ended(given_at: int, ended: int, begins: int, has_name: bool) -> bool:
+    """Whether a name given before an exercise had `ended`, or in the pause until the next one `begins`, belongs to the former.
 
     In the pause it is that of the nearer one; of the next one if what ended already has a name, or ended LATELY_NS ago. Times in ns.
     """
-    return said_at < ended or (not has_name and said_at - ended < min(LATELY_NS, begins - said_at))
+    return given_at < ended or (not has_name and given_at - ended < min(LATELY_NS, begins - given_at))
 
 
 def _names(model: Model) -> list[str]:
