@@ -154,7 +154,7 @@ def paragraphs(text: str) -> str:
     blocks = []
     for block in text.split("\n\n"):
         lines = block.split("\n")
-        if all(line.startswith("    ") for line in lines):
+        if block.startswith(">>>") or all(line.startswith("    ") for line in lines):
             blocks.append("```python\n" + inspect.cleandoc(block) + "\n```")
         elif any(ENTRY.match(line) for line in lines if not line.startswith(" ")):
             blocks.append(_entries(lines))

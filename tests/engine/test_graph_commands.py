@@ -220,6 +220,10 @@ def test_parts_lists_what_there_is_and_shows_one(capsys: pytest.CaptureFixture[s
         components("Xyz")
 
 
+def test_an_example_keeps_its_lines() -> None:
+    assert reflowed("Doubles.\n\n>>> double(1)\n2", 30).split("\n\n") == ["Doubles.", ">>> double(1)\n2"]
+
+
 def test_a_description_is_laid_out_again_for_a_narrow_terminal() -> None:
     ports = "in     what comes in, in a line that goes on\n       here\nout    what goes out\n- an item\n  of two lines"
     text = f"One sentence that\ngoes on.\n\n{ports}"

@@ -115,7 +115,9 @@ def _console() -> Screen:
 def reflowed(text: str, width: int) -> str:
     """A docstring's paragraphs and lists of names in lines of at most `width` characters."""
     return "\n\n".join(
-        "\n".join(
+        paragraph  # an example keeps its lines
+        if paragraph.startswith(">>>")
+        else "\n".join(
             textwrap.fill(entry, width, subsequent_indent=" " * _column(entry), break_on_hyphens=False)
             for entry in _entries(paragraph)
         )
