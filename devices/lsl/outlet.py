@@ -11,7 +11,7 @@ import structlog
 
 from kinegraph.devices.lsl.clock import zero_ns
 from kinegraph.devices.lsl.network import ANY, Network, library
-from kinegraph.devices.lsl.samples import Form, Numbers, form_of
+from kinegraph.devices.lsl.samples import Form, NumberRows, form_of
 from kinegraph.stream.chunk import NS, Chunk, Specs
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.outlet import Outlet
@@ -102,7 +102,7 @@ class LslOutlet(Outlet[Nothing, LslRuntime]):
         if runtime.zero is None:
             runtime.zero = int(chunk.time[-1]) - round(runtime.lsl.local_clock() * NS)
         stamps = ((chunk.time - runtime.zero) / NS).tolist()
-        if isinstance(runtime.form, Numbers):
+        if isinstance(runtime.form, NumberRows):
             runtime.outlet.push_chunk(runtime.form.rows(chunk), stamps)
         else:
             for text, stamp in zip(runtime.form.rows(chunk), stamps, strict=True):

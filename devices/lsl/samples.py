@@ -20,7 +20,7 @@ CHANNELS_SAID = 512
 
 
 @dataclass(frozen=True, slots=True)
-class Numbers:
+class NumberRows:
     """A stream of numbers.
 
     labels    (name, unit) of every LSL channel
@@ -82,7 +82,7 @@ class Texts:
         _describe(desc, self.labels, kind, None)
 
 
-Form: TypeAlias = Numbers | Texts
+Form: TypeAlias = NumberRows | Texts
 
 
 def form_of(spec: StreamSpec, events: str, fields: tuple[str, ...]) -> Form:
@@ -105,7 +105,7 @@ def form_of(spec: StreamSpec, events: str, fields: tuple[str, ...]) -> Form:
     return _event_numbers(spec, fields or spec.channels)
 
 
-def _numbers(spec: StreamSpec) -> Numbers:
+def _numbers(spec: StreamSpec) -> NumberRows:
     size = int(np.prod(spec.shape, dtype=np.int64))
     if not 0 < size <= MOST:
         raise InputError(
@@ -114,16 +114,16 @@ def _numbers(spec: StreamSpec) -> Numbers:
     dtype = type_of(spec)
     if dtype is None:
         raise InputError("in", spec.describe(), "a stream of real numbers")
-    return Numbers(spec, column_names(spec), dtype)
+    return NumberRows(spec, column_names(spec), dtype)
 
 
-def _event_numbers(spec: StreamSpec, fields: tuple[str, ...]) -> Numbers:
+def _event_numbers(spec: StreamSpec, fields: tuple[str, ...]) -> NumberRows:
     for name in fields:
         field = spec.dtype[name]
         if field.shape or field.base.kind not in "fiub":
             raise ParameterError("fields", name, "a field that is one number; or say `events: json`")
     labels = [(name, "s" if spec.unit_of(name) == "ns" else spec.unit_of(name)) for name in fields]
-    return Numbers(spec, labels, np.dtype("<f8"), tuple(fields))
+    return NumberRows(spec, labels, np.dtype("<f8"), tuple(fields))
 
 
 def _number(spec: StreamSpec, chunk: Chunk, field: str) -> Samples:

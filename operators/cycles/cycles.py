@@ -69,7 +69,7 @@ class Cycles(Operator[CyclesState]):
       the one is NaN throughout.
     There is a median from the fifth cycle on. It judges the first five, too: one that was accepted before and is irregular is taken back
     by a second event in `closed` of the same number, with the reason. Such an event replaces the first, for whoever reads `closed`.
-    A touch-down at or before the previous one is passed over.
+    A touch-down at or before the previous one is skipped, and so are contacts within `bounce_s` after one.
 
     Delay: the two samples after the touch-down, and up to one more until it is known that they are there. Memory: the signal of
     `longest_s` + `late_s` and its settling time, twice.
@@ -86,6 +86,11 @@ class Cycles(Operator[CyclesState]):
 
     shortest_s: float = param(0.4, above=0.0, help="a shorter cycle is rejected")
     longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer cycle is rejected")
+    bounce_s: float = param(
+        0.06,
+        least=0.0,
+        help="contacts that follow a touch-down by no more are the same contact: a switch or foot that bounces",
+    )
     off_median: float = param(
         0.5, least=0.0, help="rejected beyond this part of the recent median duration; 0: not asked"
     )
@@ -184,7 +189,7 @@ class Cycles(Operator[CyclesState]):
         s = self.state
         while s.contacts.waiting:
             onset, stamp = s.contacts.first
-            if s.start == NEVER or onset <= s.start:
+            if s.start == NEVER or onset <= s.start + self._bounce_ns:
                 if stamp > until:
                     return
                 if s.start == NEVER:
@@ -205,7 +210,7 @@ class Cycles(Operator[CyclesState]):
         b = min(s.recent.after(end) + LOOK_AHEAD, s.recent.fill)
         time, data = s.recent.time[a:b], s.recent.data[a:b]
         curve = np.full((POINTS + 2, data.shape[1]), np.nan)
-        lifts = s.contacts.lifts_between(onset, end)
+        lifts = s.contacts.lifts_between(onset + self._bounce_ns, end)
         stance = (max(lifts) - onset) / duration * 100 if lifts else np.nan
         rejected = self._plausible(duration, lifts, stance, self._complete(time, onset, end, stamp))
         if not rejected:
@@ -217,6 +222,10 @@ class Cycles(Operator[CyclesState]):
         closing = Closing(stamp, onset, end, s.number, stance, rejected, curve)
         closings += s.durations.judge(closing, self.off_median)
         s.start, s.broken = end, False
+
+    @property
+    def _bounce_ns(self) -> int:
+        return round(self.bounce_s * NS)
 
     def _plausible(self, duration: int, lifts: list[int], stance: float, incomplete: str) -> str:
         """Why a cycle cannot be one; "" if it can."""

@@ -23,6 +23,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.operator import grid
 from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
+from tests.support.command_line import succeeding
 from tests.support.steered_mesh import steered
 
 NAMES, AT = tuple(marked()), np.array(list(marked().values()))
@@ -153,9 +154,8 @@ def test_the_command_takes_the_options_and_says_what_is_wrong(tmp_path: Path) ->
     files = [tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml"]
     train = [*map(str, files)]
     options = ["--pose", "directions", "--regression", "linear", "--skeleton"]
-    with pytest.raises(SystemExit) as ended:
+    with succeeding():
         cli.call("motion train steering", [*train, *options, "--overwrite"])
-    assert not ended.value.code
     header = read_model(tmp_path / "m.npz", KIND).header
     assert (header["pose"], header["regression"], header["skeleton"]) == ("directions", "linear", True)
     assert np.isfinite(steered(tmp_path / "m.npz", STRIDE[:, AT])).all()

@@ -25,6 +25,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.operator import grid
 from kinegraph.stream.recording.series import Series, write_recording
 from tests.quadruped_model import LIMBS
+from tests.support.command_line import succeeding
 from tests.support.steered_mesh import steered
 
 NAMES, AT = tuple(marked()), np.array(list(marked().values()))
@@ -230,9 +231,8 @@ def test_the_command_takes_the_options_and_says_what_is_wrong(tmp_path: Path) ->
     files = [tmp_path / "mesh.mcap", "-o", tmp_path / "m.npz", "--markers", tmp_path / "m.yaml"]
     train = [*map(str, files)]
     options = ["--alignment", "greedy", "--shapes", "optimised", "--blend", "shared", "--parts", "8"]
-    with pytest.raises(SystemExit) as ended:
+    with succeeding():
         cli.call("motion train steering", [*train, *options, "--report", str(tmp_path / "m.html")])
-    assert not ended.value.code
     model = read_model(tmp_path / "m.npz", KIND)
     assert [model.header[name] for name in ("alignment", "shapes", "blend")] == ["greedy", "optimised", "shared"]
     assert set(model.header["softly"]) == {"beta", "marked"} and model.header["left_out"]["parts"] > 0.0

@@ -12,8 +12,9 @@ from scipy.signal import butter, sosfiltfilt
 from kinegraph.operators.cycles.cycles import Cycles
 from kinegraph.operators.cycles.statistics.ensemble import CycleEnsemble
 from kinegraph.operators.cycles.statistics.operator import CycleStatistics
-from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, StreamSpec
 from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.operator import grid
 from tests.gait import naive_emg
 from tests.support.emg_run import contacts, drive, enveloped, stamps, treadmill
 
@@ -333,3 +334,33 @@ def test_a_cycle_that_is_taken_back_leaves_every_number_as_if_it_had_never_count
         durations = [c["duration_s"] for c in closed[2] if again or c["number"] != 3]
         np.testing.assert_allclose(last["cadence"], 60 / np.mean(durations), **CLOSE)
         assert len(statistics) == 13 * (6 if again else 5)
+
+
+@pytest.mark.parametrize("bounce_ms", [[30], [20, 50]])
+def test_a_contact_that_bounces_does_not_shorten_the_next_cycle(bounce_ms: list[int]) -> None:
+    spec = StreamSpec((1,), rate_hz=1000.0, units=("uV",))
+    contact = StreamSpec((), np.dtype([("onset", "<i8")]), units=("ns",))
+    touch = np.arange(1, 9) * NS
+    bounces = [touch + ms * 10**6 for ms in bounce_ms]
+    outcome = {}
+    for name, touches, lifts in (
+        ("clean", touch, touch + 600 * 10**6),
+        (
+            "bouncing",
+            np.sort(np.concatenate([touch, *bounces])),
+            np.sort(np.concatenate([touch + 15 * 10**6, touch + 600 * 10**6])),
+        ),
+    ):
+        operator = Cycles()
+        operator.open({"signal": spec, "touchdown": contact, "liftoff": contact})
+        closed = []
+        time = grid(1000.0, 9000)
+        for port, stamps, data in (
+            ("touchdown", touches, touches.view(contact.dtype)),
+            ("liftoff", lifts, lifts.view(contact.dtype)),
+            ("signal", time, np.random.default_rng(0).normal(size=(9000, 1))),
+        ):
+            for output, chunk in operator.process(port, Chunk(stamps, data, FOREVER)) or []:
+                closed += chunk.data[["onset", "end", "stance_pct", "rejected"]].tolist() if output == "closed" else []
+        outcome[name] = closed
+    assert len(outcome["clean"]) == 7 and outcome["bouncing"] == outcome["clean"]

@@ -16,7 +16,7 @@ from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
 from kinegraph.stream.chunk import NS, StreamSpec
 from kinegraph.stream.graph.reading.load import read_expanded
 from kinegraph.stream.recording import Recording
-from tests.support.command_line import call_command
+from tests.support.command_line import call_command, succeeding
 from tests.support.real import needs_data, real_file
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -24,10 +24,8 @@ DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
 
 
 def kinegraph(*arguments):
-    try:
+    with succeeding():
         call_command(*arguments)
-    except SystemExit as ended:
-        assert not ended.code
 
 
 SEGMENT = ["count_repetitions", "segment_emg", "segment_emg_acc", "segment_imu", "segment_kinect", "segment_mocap"]

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,15 @@ QUIET = ("--view", "none")
 
 CommandResult = tuple[int, str, str]
 Command = Callable[..., CommandResult]
+
+
+@contextmanager
+def succeeding() -> Iterator[None]:
+    """Within: a command that is called in this process; it returns, or exits with code 0."""
+    try:
+        yield
+    except SystemExit as end:
+        assert not end.code, f"exit code {end.code}"
 
 
 @pytest.fixture
