@@ -171,8 +171,8 @@ def test_a_flat_baseline_has_no_maxima_by_rounding():
 def test_reasons_for_rejection():
     spec, time, data, touch = walk()
     assert set(closed_of(spec, time, data, touch)["rejected"]) == {""}
-    bounced = np.sort([*touch, touch[3] + 0.05])
-    assert closed_of(spec, time, data, bounced)["rejected"].tolist()[2:6] == ["", "too short", "", ""]
+    twice = np.sort([*touch, touch[3] + 0.2])
+    assert closed_of(spec, time, data, twice)["rejected"].tolist()[2:6] == ["", "too short", "", ""]
     assert closed_of(spec, time, data, np.delete(touch, 8))["rejected"].tolist()[6:9] == ["", "irregular", ""]
     assert "too long" in closed_of(spec, time, data, np.delete(touch, [5, 6, 7, 8]))["rejected"]
     early = np.array([0.3, *touch])
@@ -340,7 +340,7 @@ def test_a_cycle_that_is_taken_back_leaves_every_number_as_if_it_had_never_count
 def test_a_contact_that_bounces_does_not_shorten_the_next_cycle(bounce_ms: list[int]) -> None:
     spec = StreamSpec((1,), rate_hz=1000.0, units=("uV",))
     contact = StreamSpec((), np.dtype([("onset", "<i8")]), units=("ns",))
-    touch = np.arange(1, 9) * NS
+    touch = np.arange(1, 6) * NS
     bounces = [touch + ms * 10**6 for ms in bounce_ms]
     outcome = {}
     for name, touches, lifts in (
@@ -355,12 +355,12 @@ def test_a_contact_that_bounces_does_not_shorten_the_next_cycle(bounce_ms: list[
         operator.open({"signal": spec, "touchdown": contact, "liftoff": contact})
         closed = []
         time = grid(1000.0, 9000)
-        for port, stamps, data in (
+        for port, when, data in (
             ("touchdown", touches, touches.view(contact.dtype)),
             ("liftoff", lifts, lifts.view(contact.dtype)),
             ("signal", time, np.random.default_rng(0).normal(size=(9000, 1))),
         ):
-            for output, chunk in operator.process(port, Chunk(stamps, data, FOREVER)) or []:
+            for output, chunk in operator.process(port, Chunk(when, data, FOREVER)) or []:
                 closed += chunk.data[["onset", "end", "stance_pct", "rejected"]].tolist() if output == "closed" else []
         outcome[name] = closed
-    assert len(outcome["clean"]) == 7 and outcome["bouncing"] == outcome["clean"]
+    assert len(outcome["clean"]) == 4 and outcome["bouncing"] == outcome["clean"]
