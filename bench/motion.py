@@ -19,7 +19,7 @@ from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
 from kinegraph.operators.timing.align import Align
 from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
 from kinegraph.stream.data.rows import taking
-from kinegraph.stream.operator import Operator, grid
+from kinegraph.stream.operator import ANY, Operator, grid
 
 RATE = 30.0
 
@@ -33,7 +33,7 @@ class Series:
     def through(self, *operators: Operator[Any]) -> Series:
         made = self
         for operator in operators:
-            made = made.fed(operator, operator.inputs[0] if operator.inputs else "pose")
+            made = made.fed(operator, "pose" if ANY in operator.inputs else next(iter(operator.inputs)))
         return made
 
     def fed(self, operator: Operator[Any], port: str) -> Series:

@@ -31,6 +31,7 @@ from bench.night import frames
 from bench.report import HOUSE, Section, marks, publish, short, whole
 from kinegraph.devices.people import bedroom
 from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.source import Feed, Source
@@ -102,7 +103,7 @@ class ArrivalTimes:
 class Arrivals(Outlet[ArrivalsState, ArrivalTimes]):
     """Notes how old every change of depth, and every provisional score, is when it gets here; written at the end."""
 
-    inputs: ClassVar[tuple[str, ...]] = ("motion", "epochs")
+    inputs = {"motion": Input(), "epochs": Input()}
     in_order: ClassVar[bool] = False
 
     path: str = param("arrivals.json")

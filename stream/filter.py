@@ -32,7 +32,7 @@ from kinegraph.stream.chunk import FOREVER, NEVER, NS, STAMP, Array, Chunk, Spec
 from kinegraph.stream.data.require import numeric, width_of
 from kinegraph.stream.data.state import pack, unpack
 from kinegraph.stream.errors import KinegraphError, nearest
-from kinegraph.stream.operator import Operator, Takes
+from kinegraph.stream.operator import Input, Operator
 from kinegraph.stream.params import param
 
 S = TypeVar("S")
@@ -109,7 +109,7 @@ class SampleWise(Operator[S]):
     """
 
     __slots__ = ("bound",)
-    takes: ClassVar[Takes] = "rows"
+    inputs = {"in": Input(rows=True)}
     contiguous = True
     kernel: ClassVar[Kernel]
     keeps_dtype: ClassVar[bool] = False

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -23,10 +23,39 @@ from kinegraph.stream.params import check, check_names
 
 S = TypeVar("S")
 
-Takes: TypeAlias = Literal["any", "rows", "finite"]
-"""In what form an operator's ports ask for numbers."""
 Emitted: TypeAlias = Chunk | Sequence[tuple[str, Chunk]] | None
 """What `process` gives back: a chunk for the first output, nothing, or (output, chunk) pairs in the order of emission."""
+
+ANY = "*"
+"""In `Operator.inputs`, in the place of a name: any number of inputs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """An input port.
+
+    rows      numbers come as C-contiguous float64 (n, width), whatever the dtype and shape of a sample was
+    finite    numbers come as rows, in which NaN stands for what is not a finite number
+    trigger   its samples trigger output: at equal stamps they come after all others; several triggers come in their declared order.
+              No answer depends on the order of the other ports (the law "ties")
+    optional  a graph may leave it unconnected
+    revises   its events revise earlier reports, and delay nothing: `check` leaves their own delay out
+    in_turn   its chunks are cut wherever another input's sample is due, so that samples come in global time order. Off, for operators that
+              wait for `until` in any case (joins): each input's own order, and far fewer pieces. Either way a piece's `until` holds for all
+              inputs at once
+    """
+
+    rows: bool = False
+    finite: bool = False
+    trigger: bool = False
+    optional: bool = False
+    revises: bool = False
+    in_turn: bool = True
+
+
+def input_of(inputs: Mapping[str, Input], port: str) -> Input:
+    """The declaration of a port, also of one that was named after what it is connected to."""
+    return inputs[port] if port in inputs else inputs[ANY]
 
 
 class Operator(Generic[S]):
@@ -36,18 +65,9 @@ class Operator(Generic[S]):
         class Gain(Operator[GainState]):
             factor: float = param(1.0)
 
-    inputs     names of the input ports; an operator with several gets its samples in global time order (of equal stamps, see `acts`)
-    optional   those inputs that a graph may leave unconnected
-    variadic   any number of inputs (at least one), named after what they are connected to; `inputs` is then empty
+    inputs     the input ports by name, `{"in": Input()}` by default; an operator with several gets its samples in global time order.
+               `{ANY: Input()}`: any number of inputs (at least one), named after what they are connected to
     outputs    names of the output ports; the first is the default in a graph
-    in_turn    whether samples of several inputs come strictly in global time order, cut wherever another input's is due. Off, for operators
-               that wait for `until` in any case (joins): each input's own order, and far fewer pieces. Either way a piece's `until` holds
-               for all inputs at once
-    acts       ports with samples that trigger output: at equal stamps they come after all others, in this order.
-               No answer depends on the order in which `inputs` names the ports (the law "ties")
-    revises    ports with events that revise earlier reports, and delay nothing: `check` leaves their own delay out
-    takes      what its ports ask for, where numbers come: "rows" are C-contiguous float64 (n, width), whatever the dtype and shape of a
-               sample was; "finite" are rows in which NaN stands for what is not a finite number; "any" is the stream as it is
     contiguous whether what it emits always is C-contiguous, aligned and writable, so that the engine need not look (the laws do)
     delays     in words, for the docs: by how much its stamps are earlier than what it has been given
     references what its numbers equal, or where its method is from
@@ -56,14 +76,8 @@ class Operator(Generic[S]):
     """
 
     __slots__ = ("decision_s", "delay_s", "state")
-    inputs: ClassVar[tuple[str, ...]] = ("in",)
-    optional: ClassVar[tuple[str, ...]] = ()
-    variadic: ClassVar[bool] = False
+    inputs: ClassVar[Mapping[str, Input]] = {"in": Input()}
     outputs: ClassVar[tuple[str, ...]] = ("out",)
-    in_turn: ClassVar[bool] = True
-    acts: ClassVar[tuple[str, ...]] = ()
-    revises: ClassVar[tuple[str, ...]] = ()
-    takes: ClassVar[Takes] = "any"
     is_outlet: ClassVar[bool] = False
     contiguous: ClassVar[bool] = False
     delays: ClassVar[str] = "0"
@@ -215,9 +229,9 @@ def _applied(operator: Operator[Any], given: Series) -> dict[str, Array]:
 
 def _required_input(operator: Operator[Any]) -> str:
     """The one input that must be connected. Raises KinegraphError where there are several."""
-    required = [port for port in operator.inputs if port not in operator.optional]
-    if operator.variadic or len(required) > 1:
-        takes = "any number of inputs" if operator.variadic else f"the inputs {', '.join(map(repr, required))}"
+    required = [port for port, declared in operator.inputs.items() if not declared.optional]
+    if ANY in required or len(required) > 1:
+        takes = "any number of inputs" if ANY in required else f"the inputs {', '.join(map(repr, required))}"
         raise KinegraphError(
             f"{type(operator).__name__} takes {takes}; put it into a kinegraph.Graph and run that on the arrays"
         )

@@ -12,6 +12,7 @@ from kinegraph.devices.fitness_treadmill import protocol as ftms
 from kinegraph.devices.fitness_treadmill.targets import Targets, targets_of
 from kinegraph.stream.chunk import Chunk, Samples, Specs
 from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 
@@ -44,8 +45,7 @@ class TreadmillControl(Outlet[TreadmillCommand, TreadmillConnection]):
     `most_kmh`. A belt that moves can throw a person: keep that low, and the safety key attached. In a replay nothing is set.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("speed", "incline")
-    optional: ClassVar[tuple[str, ...]] = ("incline",)
+    inputs = {"speed": Input(), "incline": Input(optional=True)}
     in_order: ClassVar[bool] = False
 
     device: str = param("", help="as the source has it")
@@ -69,7 +69,7 @@ class TreadmillControl(Outlet[TreadmillCommand, TreadmillConnection]):
     def process(self, port: str, chunk: Chunk) -> None:
         if not len(chunk) or self.runtime.targets is None:
             return
-        place, (kind, factor, _) = self.inputs.index(port), KINDS[port]
+        place, (kind, factor, _) = [*self.inputs].index(port), KINDS[port]
         value = float(chunk.data[-1, 0])
         if np.isfinite(value) and not abs(value - self.state.last[place]) < self.step:
             self.state.last[place] = value

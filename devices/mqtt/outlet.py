@@ -23,6 +23,7 @@ from kinegraph.devices.outlets.output_lock import check_path
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Specs
 from kinegraph.stream.data.state import pack
 from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.operator import ANY, Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.system.atomic_file import private_folder
@@ -67,8 +68,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
     `broker: {host: ""}` it is off.
     """
 
-    variadic: ClassVar[bool] = True
-    inputs: ClassVar[tuple[str, ...]] = ()
+    inputs = {ANY: Input()}
     durable: ClassVar[bool] = True
     in_order: ClassVar[bool] = False
 

@@ -18,6 +18,7 @@ from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.domain.humanoid import BONES, humanoid_of, to_humanoid, usual_body
 from kinegraph.stream.domain.skeleton import JointTree
 from kinegraph.stream.errors import DeviceError, InputError
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 
@@ -52,8 +53,7 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
     long. A pose that is not finite is not sent. Bones that a pose does not have (fingers, eyes) are not sent: the receiver keeps them.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("pose", "blends")
-    optional: ClassVar[tuple[str, ...]] = ("blends",)
+    inputs = {"pose": Input(), "blends": Input(optional=True)}
     in_order: ClassVar[bool] = False
 
     host: str = param("127.0.0.1", help="who receives")

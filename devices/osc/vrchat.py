@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,6 +13,7 @@ from kinegraph.devices.osc.writer import bundles, floats
 from kinegraph.stream.chunk import Chunk, Samples, Specs
 from kinegraph.stream.domain.humanoid import BONES, humanoid_of, to_humanoid
 from kinegraph.stream.domain.skeleton import JointTree, joints_of
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 
@@ -54,7 +54,7 @@ class VrchatTrackers(Outlet[VrchatState, VrchatRuntime]):
     head: bool = param(True, help="whether the head is sent")
     bones: Mapping[str, str] | None = param(None, help="bone: joint, where names do not say")
 
-    inputs: ClassVar[tuple[str, ...]] = ("pose",)
+    inputs = {"pose": Input()}
 
     def open(self, specs: Specs) -> Specs:
         tree = humanoid_of(specs["pose"], self.bones)

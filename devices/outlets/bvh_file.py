@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, ClassVar
+from typing import BinaryIO
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from kinegraph.devices.outlets.output_lock import check_path
 from kinegraph.stream.chunk import Chunk, Samples, Specs
 from kinegraph.stream.domain.skeleton import JointTree
 from kinegraph.stream.errors import DeviceError, InputError, ParameterError
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.system.atomic_file import private_folder
@@ -45,7 +46,7 @@ class BvhFile(Outlet[BvhState, BvhRuntime]):
     replaced by the one before it, too. A file that already exists is not overwritten.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("pose",)
+    inputs = {"pose": Input()}
 
     path: str = param(help="the file, NAME.bvh; folders are made")
 

@@ -19,7 +19,7 @@ from mkdocs.structure.pages import Page
 
 from kinegraph.stream.cli.commands.components import accepted, shown
 from kinegraph.stream.graph.components import catalogue, kind_of
-from kinegraph.stream.operator import Operator
+from kinegraph.stream.operator import ANY, Operator
 from kinegraph.stream.params import schema
 
 HOUSE = Path(__file__).resolve().parents[2]
@@ -129,8 +129,8 @@ def _parts(title: str, parts: dict[str, Any]) -> str:
 def _ports(part: Any) -> str:
     lines = []
     if issubclass(part, Operator):
-        ports = [f"`{p}`{' (optional)' if p in part.optional else ''}" for p in part.inputs]
-        lines.append(f"**Inputs** {'any number' if part.variadic else ', '.join(ports)}")
+        ports = [f"`{name}`{' (optional)' if port.optional else ''}" for name, port in part.inputs.items()]
+        lines.append(f"**Inputs** {'any number' if ANY in part.inputs else ', '.join(ports)}")
     if part.outputs:
         lines.append(f"**Outputs** {', '.join(f'`{p}`' for p in part.outputs)}")
     return "".join(f"{line}\n\n" for line in lines)

@@ -17,7 +17,7 @@ from kinegraph.stream.data.require import numeric, regular
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 EPOCH_SEEN = np.dtype(
@@ -125,8 +125,7 @@ class Activity(Operator[ActivityState]):
     ((600, 2), ('right', 'unknown', 0.0))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("view", "bed", "far", "motion")
-    optional: ClassVar[tuple[str, ...]] = ("view", "bed", "far")
+    inputs = {"view": Input(optional=True), "bed": Input(optional=True), "far": Input(optional=True), "motion": Input()}
     outputs: ClassVar[tuple[str, ...]] = ("out", "epochs")
 
     epoch_s: float = param(

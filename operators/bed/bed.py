@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import structlog
@@ -15,7 +15,7 @@ from kinegraph.operators.bed.frames.regions import REGION, block_of, region_spec
 from kinegraph.operators.bed.frames.view import VIEW, check_view
 from kinegraph.stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.errors import ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 BIN_MM = 50.0
@@ -73,9 +73,7 @@ class BedRegion(Operator[BedState]):
     ('sleeper', 16, 8, 40, 40)
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("view", "in")
-    acts: ClassVar[tuple[str, ...]] = ("in",)
-    optional: ClassVar[tuple[str, ...]] = ("view",)
+    inputs = {"view": Input(optional=True), "in": Input(trigger=True)}
 
     sleepers: tuple[str, ...] = param(("sleeper",), help="the sleepers' names")
     regions: tuple[tuple[int, int, int, int], ...] = param(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from kinegraph.operators.bed.frames.seconds import steep
 from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from kinegraph.stream.data.require import regular
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 BREATH = np.dtype(
@@ -100,8 +100,7 @@ class Breathing(Operator[BreathingState]):
     (['a', 'b'], array([nan, nan, 15., nan]))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("regions", "bed", "blocks")
-    optional: ClassVar[tuple[str, ...]] = ("bed",)
+    inputs = {"regions": Input(), "bed": Input(optional=True), "blocks": Input()}
 
     epoch_s: float = param(30.0, least=10.0, most=300.0, help="length of an epoch, at whole multiples since 1970")
     cell_blocks: int = param(0, least=0, help="side of a cell in blocks; 0: about 27 cells in a row of the frame")

@@ -15,7 +15,7 @@ from kinegraph.operators.bed.frames.simplify import SCENE, frames_of
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from kinegraph.stream.data.require import regular
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 LONGEST_EPOCH = 60_000
@@ -88,9 +88,7 @@ class Motion(Operator[MotionState]):
     (array([944,   0], dtype=uint16), array([22.75, 13.9 ]))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("scene", "regions", "frames")
-    acts: ClassVar[tuple[str, ...]] = ("frames",)
-    optional: ClassVar[tuple[str, ...]] = ("scene", "regions")
+    inputs = {"scene": Input(optional=True), "regions": Input(optional=True), "frames": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("out", "far", "map")
 
     epoch_s: float = param(30.0, above=0.0, help="length of an epoch; epochs begin at whole multiples of it since 1970")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from kinegraph.operators.bed.bed_events import BED
 from kinegraph.operators.bed.motion import map_of
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, add_lost
 from kinegraph.stream.errors import InputError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 
 
 @dataclass(slots=True)
@@ -57,9 +57,12 @@ class NightMap(Operator[NightMapState]):
     (array([30, 30, 30, 30]), array([480,  30, 270]))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("bed", "seen", "map", "nights")
-    acts: ClassVar[tuple[str, ...]] = ("map", "nights")
-    optional: ClassVar[tuple[str, ...]] = ("bed", "seen")
+    inputs = {
+        "bed": Input(optional=True),
+        "seen": Input(optional=True),
+        "map": Input(trigger=True),
+        "nights": Input(trigger=True),
+    }
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["map"]

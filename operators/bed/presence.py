@@ -15,7 +15,7 @@ from kinegraph.operators.bed.frames.seconds import add
 from kinegraph.operators.bed.frames.view import VIEW, check_view
 from kinegraph.operators.bed.occupancy import BLIND_S, Occupancy, OccupancyLimits, Rows
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 
@@ -61,8 +61,7 @@ class Presence(Operator[PresenceState]):
     ((300, 6, 8), [('a', 'out'), ('b', 'out')])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("view", "regions", "blocks")
-    optional: ClassVar[tuple[str, ...]] = ("view",)
+    inputs = {"view": Input(optional=True), "regions": Input(), "blocks": Input()}
     outputs: ClassVar[tuple[str, ...]] = ("out", "height")
 
     rise_mm: float = param(80.0, above=0.0, help="how far above the empty bed a body is")

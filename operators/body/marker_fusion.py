@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from kinegraph.operators.body.names import MARKERS
 from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.data.finite import only_finite
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 
@@ -49,8 +48,7 @@ class Surer(Operator[SurerState]):
     (0.75, 0.99)
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("first", "second")
-    acts: ClassVar[tuple[str, ...]] = ("first",)
+    inputs = {"first": Input(trigger=True), "second": Input()}
 
     least: int = param(8, least=1, help="how many markers `first` must see")
     fill: bool = param(True, help="whether a marker that `first` misses may come from `second`")

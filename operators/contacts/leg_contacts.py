@@ -12,7 +12,7 @@ from kinegraph.operators.contacts.limb_contacts import LIMB_CONTACT
 from kinegraph.operators.contacts.limbs import with_limb
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.errors import InputError
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 
 LEGS = ("left", "right")
 
@@ -41,8 +41,12 @@ class LegContacts(Operator[LegContactsState]):
     ['left', 'right', 'left']
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("left_touchdown", "right_touchdown", "left_liftoff", "right_liftoff")
-    optional: ClassVar[tuple[str, ...]] = ("left_liftoff", "right_liftoff")
+    inputs = {
+        "left_touchdown": Input(),
+        "right_touchdown": Input(),
+        "left_liftoff": Input(optional=True),
+        "right_liftoff": Input(optional=True),
+    }
     outputs: ClassVar[tuple[str, ...]] = ("touchdown", "liftoff")
 
     def open(self, specs: Specs) -> Specs:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Generic, TypeVar
@@ -39,7 +39,7 @@ class OnePerLimb(Operator[LimbsState], Generic[P]):
 
     def share(self, port: str, limbs: Sequence[str], chunk: Chunk) -> list[Chunk]:
         """A chunk of events with a field `limb`, as each limb's operator sees it."""
-        lost = self.state.lost[:, self.inputs.index(port)]
+        lost = self.state.lost[:, [*self.inputs].index(port)]
         if chunk.lost:
             lost[:] = 1
         made = []
@@ -118,7 +118,7 @@ def check_limbs(limbs: Mapping[str, str], channels: Sequence[str]) -> None:
             raise ParameterError("limbs", pattern, f"a pattern that fits a channel; {nearest(pattern, channels)}")
 
 
-def check_named(specs: Mapping[str, StreamSpec], ports: Sequence[str]) -> None:
+def check_named(specs: Mapping[str, StreamSpec], ports: Iterable[str]) -> None:
     """Raise InputError unless these inputs are contacts that name their limb."""
     for port in ports:
         if port in specs and not {"onset", "limb"} <= set(specs[port].dtype.names or ()):

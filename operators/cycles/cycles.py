@@ -16,7 +16,7 @@ from kinegraph.operators.cycles.reported_contacts import ReportedContacts
 from kinegraph.stream.chunk import NEVER, NS, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.data.require import regular_signal
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 LOOK_AHEAD = 2
@@ -80,8 +80,7 @@ class Cycles(Operator[CyclesState]):
     (array([1., 1.]), array([ 50., 100., 149.]))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("signal", "touchdown", "liftoff")
-    optional: ClassVar[tuple[str, ...]] = ("liftoff",)
+    inputs = {"signal": Input(), "touchdown": Input(), "liftoff": Input(optional=True)}
     outputs: ClassVar[tuple[str, ...]] = ("cycles", "closed", "maxima", "panorama")
 
     shortest_s: float = param(0.4, above=0.0, help="a shorter cycle is rejected")

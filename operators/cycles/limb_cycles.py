@@ -22,7 +22,7 @@ from kinegraph.operators.cycles.cycle import CLOSED
 from kinegraph.operators.cycles.cycle_outputs import CycleOutputs
 from kinegraph.operators.cycles.cycles import Cycles
 from kinegraph.stream.chunk import Array, Chunk, Specs, StreamSpec
-from kinegraph.stream.operator import Case, grid
+from kinegraph.stream.operator import Case, Input, grid
 from kinegraph.stream.params import param
 
 LIMB_CLOSED = np.dtype([*CLOSED.descr, ("limb", LIMB)])
@@ -54,8 +54,7 @@ class LimbCycles(_Placed):
     [('left', 1.0), ('right', 1.0)]
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("signal", "touchdown", "liftoff")
-    optional: ClassVar[tuple[str, ...]] = ("liftoff",)
+    inputs = {"signal": Input(), "touchdown": Input(), "liftoff": Input(optional=True)}
     outputs: ClassVar[tuple[str, ...]] = ("cycles", "closed", "maxima", "panorama")
 
     limbs: dict[str, str] = param(help='per limb, the pattern of its channels: {left: "L_*", right: "R_*"}')

@@ -18,7 +18,7 @@ from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Sp
 from kinegraph.stream.data.finite import only_finite
 from kinegraph.stream.domain.alarm import ALARM
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 JUDGED = np.dtype(
@@ -94,10 +94,14 @@ class CycleReview(Operator[ReviewState]):
     [(3, ''), (3, 'by hand'), (3, 'by hand')]
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("quality", "annotations", "contacts", "timing", "closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    revises: ClassVar[tuple[str, ...]] = ("quality", "annotations", "contacts", "timing")
-    optional: ClassVar[tuple[str, ...]] = ("quality", "annotations", "contacts", "timing")
+    inputs = {
+        "quality": Input(revises=True, optional=True),
+        "annotations": Input(revises=True, optional=True),
+        "contacts": Input(revises=True, optional=True),
+        "timing": Input(revises=True, optional=True),
+        "closed": Input(trigger=True),
+        "cycles": Input(trigger=True),
+    }
     outputs: ClassVar[tuple[str, ...]] = ("closed", "cycles", "judged")
 
     leave_out: Literal["bad", "doubtful", "none"] = param("bad", help="the quality at which a muscle is left out")

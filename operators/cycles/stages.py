@@ -10,7 +10,7 @@ import numpy as np
 from kinegraph.operators.cycles.cycle import CLOSED, is_closed
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 Began: TypeAlias = list[tuple[int, tuple[Any, ...]]]
@@ -88,9 +88,12 @@ class Stages(Operator[StagesState]):
     [(1, ''), (2, 'slow')]
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("signal", "speed", "annotations", "closed")
-    acts: ClassVar[tuple[str, ...]] = ("annotations", "closed")
-    optional: ClassVar[tuple[str, ...]] = ("signal", "annotations", "speed")
+    inputs = {
+        "signal": Input(optional=True),
+        "speed": Input(optional=True),
+        "annotations": Input(trigger=True, optional=True),
+        "closed": Input(trigger=True),
+    }
     outputs: ClassVar[tuple[str, ...]] = ("closed", "stages")
 
     protocol: tuple[ProtocolStage, ...] = param((), help="the stages, in order: {stage: warm-up, for_s: 120, say: ...}")

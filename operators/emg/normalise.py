@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.operators.emg.amplitude_reference import METHODS, AmplitudeReference, CalibrationError
 from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 
@@ -41,7 +41,7 @@ class Normalise(Operator[NormaliseState]):
     array([1., 2.])
     """
 
-    takes = "finite"
+    inputs = {"in": Input(finite=True)}
     method: Literal["mvc", "rest", "task_peak", "task_mean", "none"] = param("none", help="what 100 % stands for")
     reference: str = param("", help="the file that `kinegraph emg calibrate` wrote")
     any_subject: bool = param(False, help="use the reference even if it was taken of somebody else")

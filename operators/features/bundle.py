@@ -17,7 +17,7 @@ from kinegraph.stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, T
 from kinegraph.stream.data.require import numeric, regular, samples_in
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
-from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.operator import Case, Emitted, Input, Operator, grid
 from kinegraph.stream.params import param
 
 APART = 4
@@ -63,7 +63,7 @@ class Bundle(Operator[BundleState]):
         "channels": "a frame with a bad value has no neighbours, and is no neighbour"
     }
 
-    takes = "rows"
+    inputs = {"in": Input(rows=True)}
     k: int = param(32, least=4, most=128, help="how many neighbours")
     window_s: float = param(60.0, above=0.0, help="how far back to search for neighbours")
     variance: float = param(0.975, above=0.0, most=1.0, help="share of the neighbours' variance that is kept")

@@ -17,7 +17,7 @@ from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.domain.axes import BODY, WAYS, Axes, Up, in_axes
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 FLAT = 0.2
@@ -138,7 +138,7 @@ class Pose(_Seen):
     (array([ 1.48,  1.3 , -0.76]), array([ 208.3, -142.4,  -88.5]))
     """
 
-    takes = "rows"
+    inputs = {"in": Input(rows=True)}
     points: Literal["e15", "e30", "all"] = param("e15", help="which points come out")
     joints: Mapping[str, tuple[str, ...]] | None = param(None, help="joint: [point, ...], where names do not tell")
     up: Up | None = param(None, help=f"{HELP} y")

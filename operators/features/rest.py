@@ -14,7 +14,7 @@ from kinegraph.operators.inputs.continuity import Continuity, watch
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from kinegraph.stream.data.require import numeric, regular, samples_in
 from kinegraph.stream.filter import reset_gap
-from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.operator import Case, Emitted, Input, Operator, grid
 from kinegraph.stream.params import param
 
 
@@ -44,7 +44,7 @@ class SkipRest(Operator[RestState]):
     """
 
     exemptions: ClassVar[dict[str, str]] = {"channels": "rest is that of all channels together"}
-    takes = "finite"
+    inputs = {"in": Input(finite=True)}
     moves: float = param(above=0.0, help="what moves less is at rest, in the signal's unit")
     window_s: float = param(2.0, above=0.0, help="for how long nothing must have moved")
     reset_gap_s: float = reset_gap(0.5)

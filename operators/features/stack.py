@@ -14,7 +14,7 @@ from kinegraph.stream.data.require import numeric, regular
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.operator import Case, Emitted, Input, Operator, grid
 from kinegraph.stream.params import param
 
 MOST = 64
@@ -112,7 +112,7 @@ class Stack(Operator[StackState]):
            [2., 3.]])
     """
 
-    takes = "rows"
+    inputs = {"in": Input(rows=True)}
     offsets: tuple[int, ...] = param((-10, -5, 0, 5, 10), least=-FARTHEST, most=FARTHEST, help="in frames")
     causal: bool = param(False, help="offsets moved back until all are at most 0")
     reset_gap_s: float = reset_gap(0.5)

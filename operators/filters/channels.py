@@ -14,7 +14,7 @@ from kinegraph.stream.data.require import width_of
 from kinegraph.stream.errors import InputError, ParameterError, nearest
 from kinegraph.stream.filter import SampleWise
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, grid
+from kinegraph.stream.operator import Case, Input, grid
 from kinegraph.stream.params import param
 
 
@@ -51,7 +51,7 @@ class Select(SampleWise[SelectState]):
     rename: Mapping[str, str] | None = param(None, help="new names by old ones")
     kernel = gather
     keeps_dtype = True
-    takes = "any"
+    inputs = {"in": Input()}
 
     def begin(self, spec: StreamSpec) -> SelectState:
         if spec.is_event or not spec.shape:

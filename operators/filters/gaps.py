@@ -15,7 +15,7 @@ from kinegraph.stream.data.finite import finite
 from kinegraph.stream.data.require import numeric
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.operator import Case, Emitted, Input, Operator, grid
 from kinegraph.stream.params import param
 
 ANY = 1 << 40
@@ -106,7 +106,7 @@ class FillGaps(Operator[FillState]):
     """
 
     delays: ClassVar[str] = "`limit_s`, only where something is bad"
-    takes = "rows"
+    inputs = {"in": Input(rows=True)}
     limit_s: float = param(0.1, above=0.0, help="the longest gap that is filled")
     method: Literal["linear", "hold"] = param("linear", help="a straight line, or the last value")
 

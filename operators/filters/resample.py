@@ -18,7 +18,7 @@ from kinegraph.stream.data.require import numeric, regular
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 MOST = 1000
@@ -120,7 +120,7 @@ class Resample(Operator[ResampleState]):
 
     delays: ClassVar[str] = "`half_length` samples of the slower rate"
     references: ClassVar[str] = "`scipy.signal.resample_poly`, to rounding"
-    takes = "rows"
+    inputs = {"in": Input(rows=True)}
     contiguous = True
     rate_hz: float = param(above=0.0, help="rate that is wanted")
     half_length: int = param(

@@ -16,7 +16,7 @@ from kinegraph.stream.data.require import numeric
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 UNKNOWN, OUTSIDE, CANDIDATE, INSIDE = range(4)
@@ -97,7 +97,7 @@ class Threshold(Operator[ThresholdState]):
 
     delays: ClassVar[str] = "no delay: stamped when decided"
     outputs: ClassVar[tuple[str, ...]] = ("onset", "interval")
-    takes = "rows"
+    inputs = {"in": Input(rows=True)}
     level: float = param(help="an interval begins where this is reached, in the channel's unit")
     release: float | None = param(None, help="an interval ends behind this (hysteresis); left out: level")
     direction: Literal["above", "below"] = param("above", help="on which side of the level intervals lie")

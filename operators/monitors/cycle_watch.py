@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from kinegraph.operators.cycles.cycle import CLOSED, is_closed, longest_cycle_s
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
 from kinegraph.stream.errors import InputError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 RECENT, LATEST = 11, 3
@@ -66,7 +65,7 @@ class CycleWatch(Operator[CycleWatchState]):
     ['no contact for 5.0 s', 'no contact', 'no contact for 2.0 s']
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("signal", "closed")
+    inputs = {"signal": Input(), "closed": Input()}
 
     silent_cycles: float = param(2.0, above=1.0, most=20.0, help="this many cycles' time without a contact is an alarm")
     first_s: float = param(10.0, above=0.0, help="the same before the first cycle")

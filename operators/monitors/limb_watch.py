@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import ClassVar
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from kinegraph.operators.monitors.cycle_watch import CycleWatch
 from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
 from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS
 from kinegraph.stream.errors import InputError
-from kinegraph.stream.operator import Case
+from kinegraph.stream.operator import Case, Input
 from kinegraph.stream.params import param
 
 
@@ -28,7 +27,7 @@ class LimbWatch(OnePerLimb[CycleWatch]):
     (79, ('left', 'on', 'no contact for 2.0 s'))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("signal", "closed")
+    inputs = {"signal": Input(), "closed": Input()}
 
     silent_cycles: float = param(2.0, above=1.0, most=20.0, help="this many cycles' time without a contact is an alarm")
     first_s: float = param(10.0, above=0.0, help="the same before the first cycle")

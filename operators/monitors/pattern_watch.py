@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from kinegraph.operators.monitors.reference_patterns import likeness
 from kinegraph.operators.monitors.stage_change import StageUnderWay
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 RESIZED = "look at the electrode, the gain and the belt's speed; it may also be that the muscle tires"
@@ -73,8 +72,7 @@ class PatternWatch(Operator[PatternWatchState]):
     ((33, 100, 3), ('TA', 'on', 'its curve is that of GM'))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+    inputs = {"closed": Input(), "cycles": Input(trigger=True)}
 
     first: int = param(10, least=2, most=200, help="cycles that show each muscle's pattern")
     latest: int = param(3, least=1, most=50, help="cycles over which the pattern of now is averaged")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from kinegraph.operators.monitors.stage_change import StageUnderWay
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
 from kinegraph.stream.errors import ParameterError, nearest
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 SHIFT, HALF = 0, 1
@@ -99,8 +98,7 @@ class TimingWatch(Operator[TimingWatchState]):
     ((49, 100, 3), ('TA', 'on', 'its curve is rather that of SO'))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+    inputs = {"closed": Input(), "cycles": Input(trigger=True)}
 
     first: int = param(10, least=3, most=200, help="cycles that show where each muscle works")
     latest: int = param(6, least=3, most=50, help="cycles over which the timing of now is averaged")

@@ -16,7 +16,7 @@ from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Tim
 from kinegraph.stream.data.require import numeric, regular, samples_in
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 NEAREST = np.dtype([("frame", "<i8"), ("time", "<i8"), ("distance", "<f4")])
@@ -75,10 +75,11 @@ class Neighbours(Operator[NeighboursState]):
     (array([-1,  0,  0,  1]), array([nan, 5. , 0.1, 0.2], dtype=float32))
     """
 
-    takes = "rows"
-    inputs: ClassVar[tuple[str, ...]] = ("in", "weights", "radius")
-    acts: ClassVar[tuple[str, ...]] = ("weights", "radius")
-    optional: ClassVar[tuple[str, ...]] = ("weights", "radius")
+    inputs = {
+        "in": Input(rows=True),
+        "weights": Input(rows=True, trigger=True, optional=True),
+        "radius": Input(rows=True, trigger=True, optional=True),
+    }
     outputs: ClassVar[tuple[str, ...]] = ("nearest", "within")
 
     window_s: float = param(60.0, above=0.0, help="how far back to search for neighbours")

@@ -18,7 +18,7 @@ from kinegraph.stream.domain.humanoid import BONES, NUMBERS
 from kinegraph.stream.domain.skeleton import JointTree, multiply, turn
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 PROMPT = np.dtype([("onset", "<i8"), ("state", "<U10"), ("text", "<U80")])
@@ -148,8 +148,7 @@ class Footing(_Standing):
     (array([-0.25,  0.88, -0.11]), array([-0.11,  0.88,  0.01]))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("pose", "joints", "quality")
-    acts: ClassVar[tuple[str, ...]] = ("pose",)
+    inputs = {"pose": Input(trigger=True), "joints": Input(), "quality": Input()}
     outputs: ClassVar[tuple[str, ...]] = ("out", "prompt")
 
     uncalibrated_s: float = param(

@@ -21,7 +21,7 @@ from kinegraph.stream.domain.axes import BODY, in_axes
 from kinegraph.stream.domain.humanoid import BONES, PARENTS, usual_body
 from kinegraph.stream.domain.skeleton import JointTree, joints_of
 from kinegraph.stream.errors import ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 NOTES = ("left foot stands", "right foot stands", "calibrated", "outside")
@@ -92,7 +92,7 @@ class WholePose(_Solving):
     (array([0.11, 0.95, 0.04]), array([0.  , 0.94, 0.01]))
     """
 
-    takes = "finite"
+    inputs = {"in": Input(finite=True)}
     outputs: ClassVar[tuple[str, ...]] = ("pose", "joints", "quality")
     model: Path | None = param(None, help="what `kinegraph motion train pose` has made; left out: by geometry alone")
     landmarks: Mapping[str, tuple[str, ...]] | None = param(None, help="landmark: [point, ...], where names do not say")

@@ -19,7 +19,7 @@ from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, Samples, Specs, Stream
 from kinegraph.stream.data.require import numeric, regular, samples_in
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 REACH = 1.43
@@ -75,10 +75,7 @@ class Segment(Operator[SegmentState]):
     16
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("mirrored", "in")
-    acts: ClassVar[tuple[str, ...]] = ("in",)
-    optional: ClassVar[tuple[str, ...]] = ("mirrored",)
-    takes = "rows"
+    inputs = {"mirrored": Input(rows=True, optional=True), "in": Input(rows=True, trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = tuple(OUTPUTS)
     exemptions: ClassVar[dict[str, str]] = {
         "time": "what the end of the stream forces to close is stamped with the newest frame, so time is promised up to there only",

@@ -14,7 +14,7 @@ from kinegraph.stream.data.require import numeric
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 
@@ -66,7 +66,7 @@ class Epochs(Operator[EpochsState]):
     array([2., 6.])
     """
 
-    takes = "rows"
+    inputs = {"in": Input(rows=True)}
     epoch_s: float = param(30.0, above=0.0, help="length of an epoch")
     measure: Literal["sum", "mean", "maximum"] = param("sum", help="what becomes of an epoch's samples")
     least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the samples that must have been seen")

@@ -12,7 +12,7 @@ import numpy as np
 
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 ALARM = np.dtype([("onset", "<i8"), ("at", "<i8"), ("why", "U8")])
@@ -50,7 +50,7 @@ class GentleAlarm(Operator[GentleAlarmState]):
     ['movement']
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("epochs",)
+    inputs = {"epochs": Input()}
     exemptions: ClassVar[dict[str, str]] = {}
 
     at: str = param("07:00", help="the time to be up at, HH:MM")

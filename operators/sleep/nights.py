@@ -11,7 +11,7 @@ import numpy as np
 from kinegraph.operators.sleep.periods import PERIOD
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 NIGHTS = np.dtype([*PERIOD.descr, ("bed", "U9")])
@@ -66,9 +66,7 @@ class Nights(Operator[NightsState]):
     array([480.])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("bed", "lights")
-    acts: ClassVar[tuple[str, ...]] = ("lights",)
-    optional: ClassVar[tuple[str, ...]] = ("lights",)
+    inputs = {"bed": Input(), "lights": Input(trigger=True, optional=True)}
     exemptions: ClassVar[dict[str, str]] = {}
 
     apart_h: float = param(1.5, above=0.0, most=8.0, help="this long out of bed ends a night")

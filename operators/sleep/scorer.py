@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec
 from kinegraph.stream.data.require import numeric, regular
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 EPOCH = np.dtype(
@@ -108,9 +108,7 @@ class SleepScorer(Operator[ScorerState]):
     (array([90., 54., 40.]), ['wake', 'wake', 'wake'])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("in", "seen")
-    acts: ClassVar[tuple[str, ...]] = ("in",)
-    optional: ClassVar[tuple[str, ...]] = ("seen",)
+    inputs = {"in": Input(trigger=True), "seen": Input(optional=True)}
 
     method: MethodName = param("thesis", help="the scorer; all but thesis take counts of their own device")
     threshold: float | None = param(None, help="in place of the method's own (Oakley: 20, 40, 80; thesis: 0.3)")

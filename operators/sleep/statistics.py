@@ -16,7 +16,7 @@ from kinegraph.operators.sleep.scored_epochs import ScoredEpochs
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.domain.night import SLEEP, Convention, night
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 MINUTES = (
@@ -100,8 +100,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
     (800, (120.0, 116.0, 4.0))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("epochs", "lights", "periods")
-    optional: ClassVar[tuple[str, ...]] = ("lights", "periods")
+    inputs = {"epochs": Input(), "lights": Input(optional=True), "periods": Input(optional=True)}
     exemptions: ClassVar[dict[str, str]] = {
         "time": "a recording's end is its last night's end; until it comes nothing is promised beyond the last epoch"
     }

@@ -19,7 +19,7 @@ from kinegraph.stream.data.model_file import read_model
 from kinegraph.stream.domain.axes import Axes, in_axes
 from kinegraph.stream.errors import ParameterError, nearest
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 MOST = 2.5
@@ -104,7 +104,7 @@ class Actors(_Cast):
     (array([-0.55,  0.2 , -0.87]), array([ 0.19, -1.18,  0.18]))
     """
 
-    takes = "finite"
+    inputs = {"in": Input(finite=True)}
 
     limbs: Mapping[str, tuple[str, str]] = param(
         help="the model's marker: [actor's marker, the marker that it is seen from]"

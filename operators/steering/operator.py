@@ -35,7 +35,7 @@ from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Tim
 from kinegraph.stream.data.model_file import read_model
 from kinegraph.stream.domain.axes import Axes, in_axes
 from kinegraph.stream.errors import InputError, ParameterError, nearest
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 QUADRUPED = Path(__file__).with_name("quadruped.npz")
@@ -97,7 +97,7 @@ class SteerMesh(_Steered):
     ((60, 18), array([ 0.32, -0.17, -0.51]))
     """
 
-    takes = "finite"
+    inputs = {"in": Input(finite=True)}
     outputs: ClassVar[tuple[str, ...]] = ("mesh", "quality", "names")
 
     model: Path | None = param(

@@ -11,7 +11,7 @@ from kinegraph.operators.steps.steps import STEP, Steps, some_walk
 from kinegraph.stream.chunk import NEVER, NS, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.filter import reset_gap
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 CHANGE = np.dtype([("onset", "<i8"), ("activity", "<U8"), ("before", "<U8"), ("lasted_s", "<f8")])
@@ -66,7 +66,7 @@ class StepActivity(Operator[StepActivityState]):
     (29, ['standing', 'walking', 'standing'])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("steps", "signal")
+    inputs = {"steps": Input(), "signal": Input()}
     outputs: ClassVar[tuple[str, ...]] = ("activity",)
 
     turn_deg: float = param(45.0, above=0.0, most=360.0, help="a turn is of this angle or more")

@@ -14,7 +14,7 @@ from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, Stre
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 STEP = np.dtype(
@@ -80,7 +80,7 @@ class Steps(Operator[StepsState]):
     ((1400, 6), ['first', 'walk', 'walk'], [0.55, 0.56])
     """
 
-    takes = "finite"
+    inputs = {"in": Input(finite=True)}
     outputs: ClassVar[tuple[str, ...]] = ("steps",)
 
     site: Literal["lower_back", "wrist", "pocket", "foot", "other"] = param(

@@ -13,7 +13,7 @@ from kinegraph.operators.cycles.limb_cycles import some_hooves, some_limbs
 from kinegraph.operators.strides.gait_name import gait_name
 from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.errors import InputError, ParameterError, nearest
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 KEPT = 32
@@ -75,7 +75,7 @@ class Footfalls(Operator[FootfallState]):
     (26, ('walk', 1.098835007))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("touchdown", "liftoff")
+    inputs = {"touchdown": Input(), "liftoff": Input()}
     outputs: ClassVar[tuple[str, ...]] = ("limbs", "gait")
 
     reference: str = param("", help="the limb that defines strides; empty: the first")
@@ -102,7 +102,7 @@ class Footfalls(Operator[FootfallState]):
         }
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
-        s, k = self.state, self.inputs.index(port)
+        s, k = self.state, [*self.inputs].index(port)
         first = s.names.index(self.reference) if self.reference else 0
         found: list[tuple[int, Array, Array]] = []
         for i, (stamp, row) in enumerate(zip(chunk.time.tolist(), chunk.data, strict=True)):

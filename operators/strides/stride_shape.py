@@ -15,7 +15,7 @@ from kinegraph.operators.inputs.directions import HELP, right_handed_up
 from kinegraph.operators.inputs.marker_columns import marker_columns, marker_metres
 from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 KEPT = 32
@@ -83,7 +83,7 @@ class StrideShape(Operator[StrideState]):
     ((1000, 2, 3), ('left', 1), 1.2)
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("in", "touchdown", "liftoff")
+    inputs = {"in": Input(), "touchdown": Input(), "liftoff": Input()}
     delays: ClassVar[str] = "`late_s`"
 
     limbs: dict[str, str] = param(help="per limb, the marker on its foot: its name, or its number from 0")

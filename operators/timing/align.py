@@ -17,7 +17,7 @@ from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Sp
 from kinegraph.stream.data.require import numeric, width_of
 from kinegraph.stream.domain.axes import BODY, CAMERA, Axes, describe_axes
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.operator import ANY, Case, Emitted, Input, Operator, grid
 from kinegraph.stream.params import param
 
 Turn: TypeAlias = tuple[tuple[int, int, int], Samples]
@@ -76,9 +76,7 @@ class Align(_Joining):
     """
 
     delays: ClassVar[str] = "`max_distance_s`; `hold`: no delay"
-    inputs: ClassVar[tuple[str, ...]] = ()
-    variadic: ClassVar[bool] = True
-    in_turn: ClassVar[bool] = False
+    inputs = {ANY: Input(in_turn=False)}
     rate_hz: float | None = param(None, above=0.0, help="rate of a common grid; left out: the first input's stamps")
     method: Literal["linear", "hold", "nearest"] = param("linear", help="how a value between samples is found")
     max_distance_s: float | None = param(

@@ -10,7 +10,7 @@ import numpy as np
 
 from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Specs, StreamSpec, add_lost, empty
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 
@@ -50,8 +50,7 @@ class Gate(_Gated):
     array([2., 3., 4.])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("pulses", "in")
-    acts: ClassVar[tuple[str, ...]] = ("in",)
+    inputs = {"pulses": Input(), "in": Input(trigger=True)}
     exemptions: ClassVar[dict[str, str]] = {"infinity": "what passes is not looked at"}
 
     start: str = param("", help="the marker that opens; left out: any pulse")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from kinegraph.stream.chunk import Array, Chunk, Specs, StreamSpec, add_lost, empty
 from kinegraph.stream.errors import InputError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 
 
 @dataclass(slots=True)
@@ -41,8 +40,7 @@ class Pause(_Gate):
     array([0., 1., 2., 6., 7.])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("in", "switch")
-    acts: ClassVar[tuple[str, ...]] = ("switch",)
+    inputs = {"in": Input(), "switch": Input(trigger=True)}
 
     def open(self, specs: Specs) -> Specs:
         switch = specs["switch"]

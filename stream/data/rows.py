@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.data.finite import finite
 from kinegraph.stream.data.require import width_of
 from kinegraph.stream.kernel import kernel
+from kinegraph.stream.operator import Input, Operator, input_of
 
 
 class Rows:
@@ -43,24 +44,17 @@ class Rows:
         return made
 
 
-class AsksForRows(Protocol):
-    """An operator, by the form in which its ports ask for numbers."""
-
-    @property
-    def takes(self) -> str: ...
-
-
-def rows_for(operator: AsksForRows, spec: StreamSpec, made: dict[bool, Rows]) -> Rows | None:
-    """What brings an edge's chunks into the form that an operator asks for; None: they have it. `made`: what the edge has already."""
-    if operator.takes == "any" or spec.is_event or spec.dtype.kind not in "iufb":
+def rows_for(port: Input, spec: StreamSpec, made: dict[bool, Rows]) -> Rows | None:
+    """What brings an edge's chunks into the form that a port asks for; None: they have it. `made`: what the edge has already."""
+    if not (port.rows or port.finite) or spec.is_event or spec.dtype.kind not in "iufb":
         return None
-    asks = operator.takes == "finite" and spec.dtype.kind == "f"
+    asks = port.finite and spec.dtype.kind == "f"
     return made.setdefault(asks, Rows(spec, finite=asks)) if asks or not _are_rows(spec) else None
 
 
-def taking(operator: AsksForRows, specs: Specs) -> Callable[[str, Chunk], Chunk]:
+def taking(operator: Operator[Any], specs: Specs) -> Callable[[str, Chunk], Chunk]:
     """For whoever calls an operator's `process` without a graph: brings a port's chunk into the form that the operator asks for."""
-    by_port = {port: rows_for(operator, spec, {}) for port, spec in specs.items()}
+    by_port = {port: rows_for(input_of(operator.inputs, port), spec, {}) for port, spec in specs.items()}
 
     def take(port: str, chunk: Chunk) -> Chunk:
         rows = by_port[port]

@@ -24,7 +24,7 @@ from kinegraph.stream.engine.flow.segment import CompiledSegment
 from kinegraph.stream.errors import KinegraphError, asked_to_end, blaming, explain
 from kinegraph.stream.graph import Edge, Graph, Node
 from kinegraph.stream.graph.components import is_ours
-from kinegraph.stream.operator import Emitted, Operator
+from kinegraph.stream.operator import Emitted, Operator, input_of
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.system.clock import SessionClock
 
@@ -53,7 +53,7 @@ class Stage:
         for edge in self.edges.values():
             edge.strict = not is_ours(self.operator)
         merged = len(specs) > 1 and getattr(self.operator, "in_order", True)
-        self.merge = Merge(specs, in_turn=self.operator.in_turn, acts=self.operator.acts) if merged else None
+        self.merge = Merge(specs, self.operator.inputs) if merged else None
         self.timing = Timing()
         self.feeds: list[LiveEdge] = []
         self.limits: list[LiveEdge | BoundedQueue] = []
@@ -196,7 +196,7 @@ class Pipeline:
             made: dict[bool, Rows] = {}
             for stage, port in readers:
                 push = self._bridged(edge, stage, port, stage.push(port), bridge)
-                rows = rows_for(stage.operator, edge.spec, made)
+                rows = rows_for(input_of(stage.operator.inputs, port), edge.spec, made)
                 edge.readers.append(_converting(rows, push) if rows else push)
                 stage.feeds.append(edge)
                 edge.strict = edge.strict or stage.node.is_outlet

@@ -108,7 +108,7 @@ def _run_cases(part: Operator[Any]) -> None:
         specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         operator.open(specs)
         take = taking(operator, specs)
-        merge = Merge(specs, in_turn=operator.in_turn, acts=operator.acts)
+        merge = Merge(specs, operator.inputs)
         pieces = [(port, piece) for port, given in case.inputs.items() for piece in _pieces(*given)]
         ends = [
             (port, empty(spec, FOREVER)) for port, spec in specs.items()
@@ -136,7 +136,7 @@ def _run_made_up(graph: Graph, stage: Stage) -> None:
 
 def _try(graph: Graph, node: Node, operator: Operator[Any], specs: Specs, promised: Specs) -> None:
     take = taking(operator, specs)
-    merge = Merge(specs, in_turn=operator.in_turn, acts=operator.acts)
+    merge = Merge(specs, operator.inputs)
     given = {port: made_up(spec, SAMPLES) for port, spec in specs.items() if not spec.is_event}
     horizon = max((int(times[-1]) for times, _ in given.values() if len(times)), default=NS)
     pieces = [(port, piece) for port, samples in given.items() for piece in _pieces(specs[port], *samples)]

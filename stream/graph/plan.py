@@ -9,7 +9,7 @@ from kinegraph.stream.chunk import StreamSpec
 from kinegraph.stream.errors import GraphError, blaming
 from kinegraph.stream.graph import Edge, Graph, Node, is_live, policy_of
 from kinegraph.stream.graph.backpressure import held_bytes, most_bytes
-from kinegraph.stream.operator import Operator
+from kinegraph.stream.operator import Operator, input_of
 from kinegraph.stream.source import Source
 from kinegraph.stream.system.memory_limit import ceiling
 from kinegraph.stream.text.time_text import delay
@@ -156,8 +156,9 @@ def _decisions(graph: Graph, steps: dict[str, Step]) -> Iterator[Decision]:
     for node in graph.nodes.values():
         waited = max((late[edge.node] for edge in node.inputs.values()), default=0.0)
         late[node.name] = waited + steps[node.name].delay_s
-        revises = node.part.revises if isinstance(node.part, Operator) else ()
-        came = [found[edge] for port, edge in node.inputs.items() if edge in found and port not in revises]
+        declared = node.part.inputs if isinstance(node.part, Operator) else {}
+        waits_for = [edge for port, edge in node.inputs.items() if not input_of(declared, port).revises]
+        came = [found[edge] for edge in waits_for if edge in found]
         after_s = max((before.after_s for before in came), default=0.0)
         total_s = max([waited, *(before.total_s for before in came)])
         for output, own_s in node.declared.decision_s.items():

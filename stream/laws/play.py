@@ -58,9 +58,7 @@ class Player:
         self._fresh, self._jitter_ns, self._excused = case.operator, jitter_ns, excused
         self.specs: Specs = {port: spec for port, (spec, _, _) in case.inputs.items()}
         self.operator, outputs = self._open()
-        self.merge = (
-            Merge(self.specs, in_turn=self.operator.in_turn, acts=self.operator.acts) if len(self.specs) > 1 else None
-        )
+        self.merge = Merge(self.specs, self.operator.inputs) if len(self.specs) > 1 else None
         self.outputs = {name: Output(spec) for name, spec in outputs.items()}
         self.newest = self.reached = NEVER
         self._singly = False
@@ -70,7 +68,7 @@ class Player:
     def name_ports(self, order: Sequence[str]) -> None:
         """Merge the inputs as if the operator named its ports in this order; before anything is fed."""
         operator = self.operator
-        self.merge = Merge({port: self.specs[port] for port in order}, in_turn=operator.in_turn, acts=operator.acts)
+        self.merge = Merge({port: self.specs[port] for port in order}, operator.inputs)
 
     def _open(self) -> tuple[Operator[Any], Specs]:
         operator = self._fresh.unopened()
@@ -132,7 +130,7 @@ class Player:
         self.operator = operator
         if self.merge:
             held = self.merge.snapshot()
-            self.merge = Merge(self.specs, in_turn=operator.in_turn, acts=operator.acts)
+            self.merge = Merge(self.specs, operator.inputs)
             self.merge.restore(through_file(held) if by_file else held)
 
     def _snapshot(self) -> dict[str, Array]:

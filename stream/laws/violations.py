@@ -35,7 +35,7 @@ RULES: dict[str, Rule] = {
     "ties": Rule(
         1,
         "equal stamps on several inputs give the same, whatever order the ports are named in",
-        "name in `acts` the ports with samples that trigger output, or act once `until` has passed the stamp",
+        "declare ports with samples that trigger output as `Input(trigger=True)`, or act once `until` has passed the stamp",
     ),
     "replay": Rule(
         2,

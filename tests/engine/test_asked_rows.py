@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from kinegraph.stream.data.rows import Rows, taking
 from kinegraph.stream.engine.pipeline import Pipeline
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.laws import Choices, checks, trials
-from kinegraph.stream.operator import Case, Operator, Takes, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.source import Feed, Source
 
 SEEN: list[tuple[str, Chunk]] = []
@@ -54,21 +54,21 @@ class Rough(_Looks):
 class Smooth(_Looks):
     """Takes rows."""
 
-    takes: ClassVar[Takes] = "rows"
+    inputs = {"in": Input(rows=True)}
 
 
 @dataclass(frozen=True, slots=True)
 class Fine(_Looks):
     """Takes rows of finite numbers."""
 
-    takes: ClassVar[Takes] = "finite"
+    inputs = {"in": Input(finite=True)}
 
 
 @dataclass(frozen=True, slots=True)
 class Gain(Operator[None]):
     """Every number times `factor`: as short as a tutorial's."""
 
-    takes: ClassVar[Takes] = "finite"
+    inputs = {"in": Input(finite=True)}
     factor: float = 2.0
 
     def open(self, specs: Specs) -> Specs:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, empty
 from kinegraph.stream.engine.flow.merge import Merge
+from kinegraph.stream.operator import ANY, Input
 
 SPEC = StreamSpec((1,))
 Row = tuple[str, int, float, int]
@@ -77,7 +78,7 @@ def test_any_interleaving_and_cutting_gives_one_order(data: st.DataObject) -> No
 @given(data=st.data())
 def test_out_of_turn_each_port_keeps_its_own_order(data: st.DataObject) -> None:
     samples = data.draw(streams())
-    merge = Merge(dict.fromkeys(samples, SPEC), in_turn=False)
+    merge = Merge(dict.fromkeys(samples, SPEC), {ANY: Input(in_turn=False)})
     order = data.draw(deliveries(samples))
     rows = rows_of([piece for port, chunk in order for piece in merge.push(port, chunk)])
     for port in samples:
@@ -86,7 +87,7 @@ def test_out_of_turn_each_port_keeps_its_own_order(data: st.DataObject) -> None:
 
 def test_out_of_turn_a_chunk_stays_whole() -> None:
     """Two streams of one rate: in turn every sample would be a piece of its own."""
-    merge = Merge({"a": SPEC, "b": SPEC}, in_turn=False)
+    merge = Merge({"a": SPEC, "b": SPEC}, {ANY: Input(in_turn=False)})
     time = np.arange(10)
     merge.push("a", Chunk(time, np.zeros((10, 1)), 9))
     pieces = [(port, len(piece), piece.until) for port, piece in merge.push("b", Chunk(time, np.zeros((10, 1)), 9))]
@@ -96,7 +97,7 @@ def test_out_of_turn_a_chunk_stays_whole() -> None:
 @given(data=st.data(), in_turn=st.booleans())
 def test_until_is_true_of_all_ports_and_never_falls(data: st.DataObject, in_turn: bool) -> None:
     samples = data.draw(streams())
-    merge = Merge(dict.fromkeys(samples, SPEC), in_turn=in_turn)
+    merge = Merge(dict.fromkeys(samples, SPEC), {ANY: Input(in_turn=in_turn)})
     facts = dict.fromkeys(samples, NEVER)
     for port, chunk in data.draw(deliveries(samples)):
         for name, piece in merge.push(port, chunk):

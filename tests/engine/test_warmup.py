@@ -7,7 +7,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from kinegraph.stream.cli.commands import logs
 from kinegraph.stream.engine.pipeline import Pipeline
 from kinegraph.stream.engine.warmup import warm_up
 from kinegraph.stream.graph.reading.load import load_text
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 MET: dict[str, int] = {}
@@ -35,8 +34,7 @@ class Nothing:
 class TwoInputs(Operator[Nothing]):
     """Notes how many samples of each input it has met."""
 
-    inputs: ClassVar[tuple[str, ...]] = ("in", "mark")
-    optional: ClassVar[tuple[str, ...]] = ("mark",)
+    inputs = {"in": Input(), "mark": Input(optional=True)}
     factor: float = param(1.0)
 
     def open(self, specs: Specs) -> Specs:
@@ -103,7 +101,7 @@ class Newest:
 class InOrder(Operator[Newest]):
     """Two signals with samples in the order of time: an operator may rely on it, and index its memory by it."""
 
-    inputs: ClassVar[tuple[str, ...]] = ("in", "other")
+    inputs = {"in": Input(), "other": Input()}
 
     def open(self, specs: Specs) -> Specs:
         self.set_state(Newest(0))

@@ -11,7 +11,7 @@ import numpy as np
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs
 from kinegraph.stream.chunk import StreamSpec as Spec
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.operator import Case, Emitted, Input, Operator, grid
 from kinegraph.stream.params import param
 
 SPEC = Spec((3,), rate_hz=100.0, channels=("a", "b", "c"), units=("uV",))
@@ -425,7 +425,7 @@ class Excused(HidesNaN):
 class AnswersByOrder(Smooth):
     """breaks: ties"""
 
-    inputs: ClassVar[tuple[str, ...]] = ("level", "in")
+    inputs = {"level": Input(), "in": Input()}
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
         if port == "in":

@@ -803,10 +803,11 @@ def seen(routine: Routine, seconds: float) -> Any:
     x = np.array([routine.joints(i) for i in range(round(RATE * seconds))])
     pose = Pose()
     spec = StreamSpec(x.shape[1:], rate_hz=RATE, channels=JOINTS, units=("m",))
-    pose.open({pose.inputs[0]: spec})
+    (port,) = pose.inputs
+    pose.open({port: spec})
     time = grid(RATE, len(x))
-    take = taking(pose, {pose.inputs[0]: spec})
-    (made,) = chunks_of(pose.process(pose.inputs[0], take(pose.inputs[0], Chunk(time, x, int(time[-1])))))
+    take = taking(pose, {port: spec})
+    (made,) = chunks_of(pose.process(port, take(port, Chunk(time, x, int(time[-1])))))
     return stacked(made.data)
 
 

@@ -11,7 +11,7 @@ from kinegraph.operators.timing.align import Align
 from kinegraph.stream.chunk import FOREVER, Chunk, StreamSpec
 from kinegraph.stream.engine.flow.merge import Merge
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import grid
+from kinegraph.stream.operator import ANY, Input, grid
 
 MS = 1_000_000
 
@@ -68,7 +68,7 @@ def run(operator, streams, specs, seed=None, lost=None, *, in_turn=False):
     """(output's spec, stamps, rows, {row: lost}), with the streams cut and interleaved at random, merged as the engine does it."""
     operator = operator.unopened()
     made = operator.open(specs)["out"]
-    merge = Merge(specs, in_turn=in_turn) if len(specs) > 1 else None
+    merge = Merge(specs, {ANY: Input(in_turn=in_turn)}) if len(specs) > 1 else None
     rng = np.random.default_rng(seed)
     waiting = {port: pieces(rng, port, *stream, lost or {}) for port, stream in streams.items()}
     emitted = []

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinegraph.stream.chunk import Chunk, Specs, StreamSpec
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Operator
+from kinegraph.stream.operator import ANY, Input, Operator
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.source import Feed, Source
@@ -83,8 +83,7 @@ class Low(Operator[Nothing]):
 class Cycles(Operator[Nothing]):
     """Two inputs that must be there, and one that need not."""
 
-    inputs: ClassVar[tuple[str, ...]] = ("signal", "touchdown", "liftoff")
-    optional: ClassVar[tuple[str, ...]] = ("liftoff",)
+    inputs = {"signal": Input(), "touchdown": Input(), "liftoff": Input(optional=True)}
     outputs: ClassVar[tuple[str, ...]] = ("cycle", "rejected")
 
     def open(self, specs: Specs) -> Specs:
@@ -101,8 +100,7 @@ class Cycles(Operator[Nothing]):
 class Join(Operator[Nothing]):
     """Any number of inputs."""
 
-    variadic: ClassVar[bool] = True
-    inputs: ClassVar[tuple[str, ...]] = ()
+    inputs = {ANY: Input()}
 
     def open(self, specs: Specs) -> Specs:
         names = tuple(f"{port}/{channel}" for port, spec in specs.items() for channel in spec.channels)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from kinegraph.stream.chunk import NS, Array, Chunk, Specs, StreamSpec, empty
-from kinegraph.stream.operator import Emitted, Operator
+from kinegraph.stream.operator import Emitted, Input, Operator
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.source import Feed, Source
@@ -165,7 +165,7 @@ class GainState:
 class Gain(Operator[GainState]):
     """The signal times the newest value of the other input."""
 
-    inputs: ClassVar[tuple[str, ...]] = ("signal", "gain")
+    inputs = {"signal": Input(), "gain": Input()}
 
     def open(self, specs: Specs) -> Specs:
         self.set_state(GainState(float("nan")))
@@ -183,7 +183,7 @@ class Gain(Operator[GainState]):
 class Beside(Operator[None]):
     """Both inputs' samples in the order of time, on one output: shows the order of a merge."""
 
-    inputs: ClassVar[tuple[str, ...]] = ("a", "b")
+    inputs = {"a": Input(), "b": Input()}
 
     def open(self, specs: Specs) -> Specs:
         self.set_state(None)

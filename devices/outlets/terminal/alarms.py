@@ -12,6 +12,7 @@ from rich.table import Table
 from kinegraph.devices.outlets.terminal.view import TerminalView
 from kinegraph.stream.chunk import NS, Chunk, Specs, utc
 from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import ANY, Input
 from kinegraph.stream.outlet import Outlet
 
 FIELDS = ("onset", "subject", "state", "what", "advice")
@@ -38,8 +39,7 @@ class Alarms(Outlet[AlarmsState]):
     input has one alarm about a subject at a time; two inputs may have one each.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ()
-    variadic: ClassVar[bool] = True
+    inputs = {ANY: Input()}
     in_order: ClassVar[bool] = False
 
     def open(self, specs: Specs) -> Specs:

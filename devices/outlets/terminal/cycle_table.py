@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -14,6 +14,7 @@ from kinegraph.devices.outlets.terminal.view import TerminalView
 from kinegraph.devices.reports.session.contents.labels import decimals, relative_to
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.errors import InputError, ParameterError, nearest
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.text.safe_text import say
@@ -56,8 +57,7 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
     `kinegraph run` shows the newest cycle as a table in its live view; where the output is no terminal, every cycle is a line.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics", "stages", *NOTES)
-    optional: ClassVar[tuple[str, ...]] = ("stages", *NOTES)
+    inputs = {"closed": Input(), "statistics": Input(), **dict.fromkeys(("stages", *NOTES), Input(optional=True))}
 
     fields: tuple[str, ...] = param(
         ("peak", "peak_pct", "mean", "integrated", "deviation"), help="which numbers of `statistics` are shown"

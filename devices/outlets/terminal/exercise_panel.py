@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from kinegraph.devices.outlets.terminal.exercise_screen import (
 from kinegraph.devices.outlets.terminal.view import TerminalView
 from kinegraph.stream.chunk import NEVER, NS, Chunk, Specs
 from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.text.safe_text import say
@@ -56,8 +57,7 @@ class ExercisePanel(Outlet[ExerciseState, None]):
     repetition and everything that has ended is a line.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = tuple(FIELDS)
-    optional: ClassVar[tuple[str, ...]] = ("believed", "repetition", "resting", "rest")
+    inputs = {port: Input(optional=port in ("believed", "repetition", "resting", "rest")) for port in FIELDS}
 
     bell: bool = param(False, help="ring the terminal's bell at every repetition")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from rich.text import Text
@@ -12,6 +12,7 @@ from rich.text import Text
 from kinegraph.devices.outlets.terminal.view import TerminalView
 from kinegraph.stream.chunk import Array, Chunk, Specs
 from kinegraph.stream.errors import InputError
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.text.safe_text import one_line, say
@@ -52,8 +53,7 @@ class StepPanel(Outlet[StepPanelState, None]):
     judgement   of `operators.steps.classifier.StepClassifier`
     """
 
-    inputs: ClassVar[tuple[str, ...]] = tuple(FIELDS)
-    optional: ClassVar[tuple[str, ...]] = ("activity", "judgement")
+    inputs = {port: Input(optional=port in ("activity", "judgement")) for port in FIELDS}
 
     every: int = param(
         20, least=1, help="where the output is no terminal: a line after this many steps, and when a vote is decided"

@@ -22,6 +22,7 @@ from kinegraph.stream.chunk import Array, Chunk, Specs
 from kinegraph.stream.data.state import pack
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.graph import Graph
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 
@@ -53,8 +54,16 @@ class NightLog(Outlet[LogState, LogRuntime]):
     in memory. Pages are drawn by a process of its own. About 150 kB a night, and as much for the report.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("bed", "seen", "breathing", "lights", "view", "map", "epochs", "nights")
-    optional: ClassVar[tuple[str, ...]] = ("bed", "seen", "breathing", "lights", "view", "map")
+    inputs = {
+        "bed": Input(optional=True),
+        "seen": Input(optional=True),
+        "breathing": Input(optional=True),
+        "lights": Input(optional=True),
+        "view": Input(optional=True),
+        "map": Input(optional=True),
+        "epochs": Input(),
+        "nights": Input(),
+    }
     durable: ClassVar[bool] = True
     in_order: ClassVar[bool] = False
 

@@ -34,6 +34,7 @@ from kinegraph.stream.chunk import Array, Chunk, Specs
 from kinegraph.stream.data.state import pack
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.graph import Graph
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 
@@ -103,8 +104,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     Without `path` the files lie with the session's recording, called after the node; where nothing is recorded, in reports.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = PORTS
-    optional: ClassVar[tuple[str, ...]] = tuple(port for port in PORTS if port not in NEEDED)
+    inputs = {port: Input(optional=port not in NEEDED) for port in PORTS}
     durable: ClassVar[bool] = True
 
     path: str = param("", help="the page; the tables lie beside it; empty: with the recording")

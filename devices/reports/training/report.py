@@ -20,6 +20,7 @@ from kinegraph.stream.data.csv_writer import Sheet
 from kinegraph.stream.data.state import pack
 from kinegraph.stream.errors import DeviceError, InputError, ParameterError
 from kinegraph.stream.graph import Graph
+from kinegraph.stream.operator import Input
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.system.atomic_file import write_complete
@@ -71,8 +72,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
     Memory is bounded, by 1 MB: the page shows the first 500 sets and 20 000 repetitions, and says so. Existing files are never overwritten.
     """
 
-    inputs: ClassVar[tuple[str, ...]] = tuple(KINDS)
-    optional: ClassVar[tuple[str, ...]] = ("rest",)
+    inputs = {port: Input(optional=port == "rest") for port in KINDS}
     durable: ClassVar[bool] = True
 
     path: str = param("reports/training.html", help="the page; the CSV file is written beside it")

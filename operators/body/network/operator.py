@@ -21,7 +21,7 @@ from kinegraph.operators.body.network.sync_check import InStep
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec, empty
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 AROUND = 1.25
@@ -70,7 +70,7 @@ class PoseNetwork(Operator[PoseNetworkState]):
     ((60, 32, 24), 0.9)
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("image", "person")
+    inputs = {"image": Input(), "person": Input()}
     references: ClassVar[str] = "MediaPipe Pose (network, refinement by heat maps, next square)"
 
     model: str = param("", help="the network's file; left out: the one that `kinegraph files fetch pose-model` brings")

@@ -14,7 +14,7 @@ from kinegraph.operators.cycles.running_curve import RunningCurve
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.data.finite import only_finite
 from kinegraph.stream.errors import ParameterError
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 WHEN = [("onset", "<i8"), ("end", "<i8"), ("number", "<i8"), ("muscle", "<i4"), ("name", "<U16")]
@@ -71,8 +71,7 @@ class CycleBursts(Operator[BurstsState]):
     [(1, 'TA', 91.0, 60.0), (2, 'TA', 90.0, 60.0)]
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+    inputs = {"closed": Input(), "cycles": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("bursts", "session", "active")
 
     on_sd: float = param(3.0, above=0.0, help="a burst begins this many standard deviations above the baseline")

@@ -11,7 +11,7 @@ from kinegraph.operators.cycles.cycle import POINTS, Expected, check_cycles, som
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.data.finite import only_finite
 from kinegraph.stream.errors import ParameterError, nearest
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 TARGET = np.dtype(
@@ -65,8 +65,7 @@ class CycleTargets(Operator[TargetsState]):
     [[49.6], [49.5]]
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+    inputs = {"closed": Input(), "cycles": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("targets", "values")
 
     targets: tuple[TargetBand, ...] = param(help="{muscle: TA, from_pct: 60, to_pct: 85, low: 40, high: 80}")

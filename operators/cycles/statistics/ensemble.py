@@ -17,7 +17,7 @@ from kinegraph.operators.cycles.statistics.ensemble_events import MUSCLE, PAIR, 
 from kinegraph.operators.cycles.statistics.stride_tally import StrideTally
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.data.finite import only_finite
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 SCALES = ("none", "session", "cycle")
@@ -80,8 +80,7 @@ class CycleEnsemble(Operator[EnsembleState]):
     ([[52.0, 74.0], [51.0, 23.0]], 5)
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+    inputs = {"closed": Input(), "cycles": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("mean", "sd", "muscles", "pairs", "session")
 
     pairs: tuple[tuple[str, str], ...] = param((), help="muscles whose co-contraction is reported, e.g. [[TA, SO]]")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from kinegraph.operators.cycles.recent_samples import RecentSamples
 from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.data.require import regular_signal
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 FREQUENCY = np.dtype(
@@ -58,8 +57,7 @@ class MedianFrequency(Operator[MedianFrequencyState]):
     (0.0, [232.0, 274.0])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("signal", "closed")
-    acts: ClassVar[tuple[str, ...]] = ("closed",)
+    inputs = {"signal": Input(), "closed": Input(trigger=True)}
 
     low_hz: float = param(20.0, least=0.0, help="the spectrum counts from here")
     high_hz: float = param(450.0, above=0.0, help="up to here")

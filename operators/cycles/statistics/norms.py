@@ -14,7 +14,7 @@ from kinegraph.operators.cycles.statistics.norm_file import read_bands
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.data.finite import only_finite
 from kinegraph.stream.errors import KinegraphError, ParameterError
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 AGAINST = np.dtype(
@@ -55,8 +55,7 @@ class NormativeBands(Operator[NormativeBandsState]):
     ([[44.0, 69.0], [44.0, 19.0]], [[56.0, 81.0], [56.0, 31.0]])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+    inputs = {"closed": Input(), "cycles": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("low", "high", "against")
 
     file: str = param(help="the table with the bands")

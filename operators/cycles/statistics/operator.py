@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from kinegraph.operators.cycles.running_curve import RunningCurve
 from kinegraph.operators.cycles.verdicts import FLAGS
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.data.finite import only_finite
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 STATISTICS = np.dtype(
@@ -99,9 +99,7 @@ class CycleStatistics(Operator[CycleStatisticsState]):
     ([85.5, 87.2, nan], [16.0, 24.0, nan])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("judged", "closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
-    optional: ClassVar[tuple[str, ...]] = ("judged",)
+    inputs = {"judged": Input(optional=True), "closed": Input(), "cycles": Input(trigger=True)}
 
     scale: Literal["session", "cycle", "none"] = param("session", help="what deviations are relative to")
     contact_s: float = param(0.02, least=0.0, most=0.2, help="how far off contacts may be, for `contact_pct`")

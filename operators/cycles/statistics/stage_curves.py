@@ -13,7 +13,7 @@ from kinegraph.operators.cycles.running_curve import RunningCurve
 from kinegraph.stream.chunk import Array, Chunk, Specs, StreamSpec
 from kinegraph.stream.data.finite import only_finite
 from kinegraph.stream.errors import InputError
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 
 STAGE_SO_FAR = np.dtype(
     [("onset", "<i8"), ("end", "<i8"), ("number", "<i8"), ("stage", "<U32"), ("speed_m_s", "<f8"), ("cycles", "<i4")]
@@ -48,8 +48,7 @@ class StageCurves(Operator[StageCurvesState]):
     ([45.0, 55.0], [50.0, 49.0])
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "cycles")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
+    inputs = {"closed": Input(), "cycles": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("mean", "sd", "sofar")
 
     def open(self, specs: Specs) -> Specs:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.special import stdtrit
@@ -16,7 +15,7 @@ from kinegraph.operators.cycles.statistics.operator import STATISTICS
 from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.data.finite import only_finite
 from kinegraph.stream.errors import InputError, ParameterError, nearest
-from kinegraph.stream.operator import Case, Operator
+from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
 MEASURES = ("peak", "mean", "integrated")
@@ -74,8 +73,7 @@ class LimbSymmetry(Operator[SymmetryState]):
     ((2, 'TA', 'peak'), 100.5, -0.004)
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("closed", "statistics")
-    acts: ClassVar[tuple[str, ...]] = ("statistics",)
+    inputs = {"closed": Input(), "statistics": Input(trigger=True)}
 
     pair: tuple[str, ...] = param((), help="the two limbs; empty: the first two")
 

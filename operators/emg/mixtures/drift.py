@@ -23,7 +23,7 @@ from kinegraph.operators.monitors.stage_change import StageUnderWay
 from kinegraph.stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, OVER
 from kinegraph.stream.errors import InputError, ParameterError
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 DISTANCE = np.dtype(
@@ -100,10 +100,15 @@ class MixtureDrift(Operator[MixtureDriftState]):
     (42, (24, 'SO'))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("maxima", "closed", "cycles", "other", "mixture", "pace")
-    optional: ClassVar[tuple[str, ...]] = ("other", "pace")
+    inputs = {
+        "maxima": Input(),
+        "closed": Input(),
+        "cycles": Input(trigger=True),
+        "other": Input(optional=True),
+        "mixture": Input(trigger=True),
+        "pace": Input(trigger=True, optional=True),
+    }
     outputs: ClassVar[tuple[str, ...]] = ("distance", "change")
-    acts: ClassVar[tuple[str, ...]] = ("cycles", "mixture", "pace")
 
     first: int = param(60, least=4, most=200, help="how many of the first accepted cycles are the session's reference")
     pairs: int = param(100, least=10, most=1000, help="pairs of random parts that the limit is taken from")

@@ -14,7 +14,7 @@ from kinegraph.operators.emg.mixtures.peak_window import PeakWindow
 from kinegraph.operators.emg.mixtures.refit import UNKNOWN, Fitting, Refit, highest_apart
 from kinegraph.stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.errors import InputError, ParameterError, nearest
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 
@@ -79,9 +79,7 @@ class PeakMixtures(Operator[MixturesState]):
     (1877, (24, 'GM', 11))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("maxima", "closed", "cycles", "pace")
-    acts: ClassVar[tuple[str, ...]] = ("cycles",)
-    optional: ClassVar[tuple[str, ...]] = ("pace",)
+    inputs = {"maxima": Input(), "closed": Input(), "cycles": Input(trigger=True), "pace": Input(optional=True)}
     outputs: ClassVar[tuple[str, ...]] = ("mixture", "modes")
 
     cycles: int = param(20, least=2, most=500, help="how many of the latest cycles")

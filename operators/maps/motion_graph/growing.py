@@ -15,7 +15,7 @@ from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec,
 from kinegraph.stream.data.require import regular, samples_in
 from kinegraph.stream.domain.axes import BODY
 from kinegraph.stream.errors import InputError, ParameterError, nearest
-from kinegraph.stream.operator import Case, Emitted, Operator, grid
+from kinegraph.stream.operator import Case, Emitted, Input, Operator, grid
 from kinegraph.stream.params import param
 
 log = structlog.get_logger(__name__)
@@ -88,8 +88,7 @@ class GrowingGraph(_Turning):
     (20, 20, 328)
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("primitive", "in")
-    acts: ClassVar[tuple[str, ...]] = ("in",)
+    inputs = {"primitive": Input(), "in": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("node", "edge")
 
     left: str = param("hip_l", help="poses are turned to the front by the line from `right` to this joint")

@@ -28,7 +28,7 @@ from kinegraph.stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSp
 from kinegraph.stream.data.require import numeric, regular, samples_in
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.manual import ANNOTATION
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 log = structlog.get_logger(__name__)
@@ -118,9 +118,14 @@ class NameRepetitions(Operator[NamingState]):
     (17, (3, 'turn'))
     """
 
-    inputs: ClassVar[tuple[str, ...]] = ("in", "mirrored", "radius", "annotations", "provisional", "primitive")
-    acts: ClassVar[tuple[str, ...]] = ("annotations", "provisional", "primitive")
-    optional: ClassVar[tuple[str, ...]] = ("mirrored", "radius", "annotations", "provisional")
+    inputs = {
+        "in": Input(),
+        "mirrored": Input(optional=True),
+        "radius": Input(optional=True),
+        "annotations": Input(trigger=True, optional=True),
+        "provisional": Input(trigger=True, optional=True),
+        "primitive": Input(trigger=True),
+    }
     outputs: ClassVar[tuple[str, ...]] = ("believed", "repetition")
 
     model: str = param(

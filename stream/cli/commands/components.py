@@ -150,7 +150,7 @@ def _show(path: str, part: Part) -> None:
     from rich.text import Text
 
     from kinegraph.stream.graph.components import kind_of
-    from kinegraph.stream.operator import Operator
+    from kinegraph.stream.operator import ANY, Operator
     from kinegraph.stream.params import schema
 
     console = _console()
@@ -158,8 +158,8 @@ def _show(path: str, part: Part) -> None:
     says = reflowed(inspect.getdoc(part) or "", min(console.width, WIDEST))
     console.print(Text.assemble((path, "bold"), f"  ({kind_of(part)})\n\n", says, "\n"))
     if issubclass(part, Operator):
-        ports = [*(f"{p} (optional)" if p in part.optional else p for p in part.inputs)]
-        console.print(Text(f"inputs   {'any number' if part.variadic else ', '.join(ports)}"))
+        ports = [f"{name} (optional)" if port.optional else name for name, port in part.inputs.items()]
+        console.print(Text(f"inputs   {'any number' if ANY in part.inputs else ', '.join(ports)}"))
     if part.outputs:
         console.print(Text(f"outputs  {', '.join(part.outputs)}"))
     table = Table("parameter", "default", "values", "", box=None, pad_edge=False)

@@ -1,15 +1,17 @@
-"""Several inputs, one order: samples leave in global time order, of equal stamps those of the ports that act last, as far as every input's
+"""Several inputs, one order: samples leave in global time order, at equal stamps those of triggers last, as far as every input's
 `until` reaches."""
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 
 from kinegraph.stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, add_lost, empty
+from kinegraph.stream.operator import ANY, Input, input_of
 
 
 class Merge:
@@ -33,10 +35,11 @@ class Merge:
         "_until",
     )
 
-    def __init__(self, specs: Specs, *, in_turn: bool = True, acts: Sequence[str] = ()) -> None:
-        """`specs` by port. With `in_turn` off, pieces are not cut where another port's samples are due: see `Operator`, also for `acts`."""
-        self._in_turn = in_turn
-        self._ports = [*(port for port in specs if port not in acts), *(port for port in acts if port in specs)]
+    def __init__(self, specs: Specs, inputs: Mapping[str, Input] = MappingProxyType({ANY: Input()})) -> None:
+        """`specs` by port, and how the operator declares its `inputs`."""
+        triggers = [port for port in inputs if inputs[port].trigger and port in specs]
+        self._ports = [*(port for port in specs if port not in triggers), *triggers]
+        self._in_turn = [input_of(inputs, port).in_turn for port in self._ports]
         self._index = {port: i for i, port in enumerate(self._ports)}
         self._empty = [empty(specs[port], NEVER) for port in self._ports]
         n = len(specs)
@@ -87,7 +90,7 @@ class Merge:
             if time <= frontier and j != first and time != FOREVER:
                 if time <= promised:
                     promised = time - 1
-                if self._in_turn:
+                if self._in_turn[first]:
                     limit = min(limit, time if j > first else time - 1)
         queue = self._pending[first]
         chunk, start, stamps = queue[0], self._start[first], self._stamps[first]

@@ -12,7 +12,7 @@ from kinegraph.stream.graph import Edge, Node, NodeDeclaration, NodeOptions, Ope
 from kinegraph.stream.graph.reading.draft import Draft
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.wiring import Wires, order
-from kinegraph.stream.operator import Operator
+from kinegraph.stream.operator import Operator, input_of
 from kinegraph.stream.source import Source
 
 TOO_LARGE = "Maximum allowed"
@@ -91,7 +91,7 @@ class _Opening:
     def _never_said(self, draft: Draft, port: str, edge: Edge) -> bool:
         """Whether an optional input listens to a person of whom the recording holds no word, as those of other programs do."""
         node = self.nodes[edge.node]
-        asked = isinstance(draft.part, Operator) and port in draft.part.optional
+        asked = isinstance(draft.part, Operator) and input_of(draft.part.inputs, port).optional
         return asked and isinstance(node.part, Source) and node.part.background and edge.output not in node.specs
 
     def _opened(self, draft: Draft, part: Source | Operator[Any], wires: Wires, inputs: Specs) -> Node | None:

@@ -15,7 +15,7 @@ from kinegraph.stream.graph.reading.draft import NODE_NAME, OPERATOR_OPTIONS, SO
 from kinegraph.stream.graph.reading.load import Settings
 from kinegraph.stream.graph.reading.part_files import PartInput
 from kinegraph.stream.graph.settings import GraphSetting
-from kinegraph.stream.operator import Operator
+from kinegraph.stream.operator import ANY, Operator
 from kinegraph.stream.params import schema as parameters
 from kinegraph.stream.source import Source
 from kinegraph.stream.system.names import ROOT
@@ -188,11 +188,11 @@ def _node(path: str, part: Part) -> Json:
 def _from(part: type[Operator[Any]]) -> Json:
     """What feeds the inputs of an operator."""
     edge: Json = {"$ref": "#/$defs/edge"}
-    if part.variadic:
+    if ANY in part.inputs:
         many: Json = {"type": "array", "items": edge, "minItems": 1, "uniqueItems": True}
         named: Json = {"type": "object", "additionalProperties": edge, "minProperties": 1}
         return {"oneOf": [edge, many, named], "description": "one or more inputs"}
-    required = [port for port in part.inputs if port not in part.optional]
+    required = [port for port, declared in part.inputs.items() if not declared.optional]
     ports: Json = {
         "type": "object",
         "properties": dict.fromkeys(part.inputs, edge),

@@ -10,7 +10,7 @@ from kinegraph.stream.graph import Edge
 from kinegraph.stream.graph.components import Part, kind_of
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.yaml_lines import Located
-from kinegraph.stream.operator import Operator
+from kinegraph.stream.operator import ANY, Operator
 
 Wires = dict[str, tuple[Edge, Located]]
 """By input port: what feeds it, and where the graph says so."""
@@ -70,7 +70,7 @@ class Wiring:
             )
             return None
         before = len(self._problems)
-        ports = self._variadic(node, written) if part.variadic else self._ports(node, part, written)
+        ports = self._variadic(node, written) if ANY in part.inputs else self._ports(node, part, written)
         wires = {port: (edge, at) for port, at in ports.items() if (edge := self.edge(at, node))}
         if len(self._problems) > before or len(wires) < len(ports):
             return None
@@ -92,10 +92,10 @@ class Wiring:
 
     def _ports(self, node: str, part: type[Operator[object]], written: Located) -> dict[str, Located]:
         """The inputs of an operator with named ports."""
-        required = [port for port in part.inputs if port not in part.optional]
+        required = [port for port, declared in part.inputs.items() if not declared.optional]
         if isinstance(written.value, list):
             if len(part.inputs) == 1 and len(written.value) == 1:
-                return {part.inputs[0]: written.value[0]}
+                return {required[0]: written.value[0]}
             given = f"{len(written.value)} inputs are given in a list" if len(part.inputs) == 1 else "a list is given"
             self._problems.add(f"{given}, but {part.__name__} takes {_wants(part)}", written, node)
             return {}
@@ -126,12 +126,13 @@ class Wiring:
 
 def _wants(part: type[Operator[object]]) -> str:
     """What an operator's `from` must look like."""
-    if part.variadic:
+    if ANY in part.inputs:
         return "one or more inputs, as in 'from: [board.accel, board.gyro]'"
     if len(part.inputs) == 1:
         return "one input, as in 'from: node' or 'from: node.output'"
     ports = ", ".join(f"{port}: ..." for port in part.inputs)
-    optional = f" ({', '.join(part.optional)} may be left out)" if part.optional else ""
+    left_out = ", ".join(port for port, declared in part.inputs.items() if declared.optional)
+    optional = f" ({left_out} may be left out)" if left_out else ""
     return f"named inputs, as in 'from: {{{ports}}}'{optional}"
 
 
