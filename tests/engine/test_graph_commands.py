@@ -130,7 +130,7 @@ def test_a_graph_may_have_one_node_and_must_have_one() -> None:
 
 BY_LOAD_ALONE = (
     "there is no", "no output", "no module", "cycle:", "connected twice", "an outlet", "below 500", "(onset)", "/dev", "given twice",
-    "graph_parts has no", "must be a source", "is not a dataclass", "hold", "other", "ZeroDivision", "must be renamed", "record names",
+    "graph_parts has no", "must be a source", "is not a dataclass", "set_state", "other", "ZeroDivision", "must be renamed", "record names",
     "no source", "finite",
 )  # fmt: skip
 """What takes the whole graph, or the classes themselves, to see."""
