@@ -9,11 +9,15 @@ import math
 
 import numpy as np
 
-from kinegraph.stream.chunk import Samples
+from kinegraph.stream.chunk import Samples, Times
 from kinegraph.stream.kernel import kernel
 
-HALF_WIDTH = 4.0
-"""Power within this many breaths per minute of the peak counts as the peak's: a window of 30 s smears it so far."""
+BEST = 12
+"""This many cells, those with the highest peaks, are taken for the chest."""
+COLOURED, QUIET = 24, 0.35
+"""From this many cells on the colour of their noise is known, as this quantile of them has it."""
+HARMONIC = 0.45
+"""Half of a rate with this much of its power is the rate."""
 
 
 @kernel
@@ -65,47 +69,75 @@ def powers(x: Samples, cosines: Samples, sines: Samples, out: Samples) -> None:
 
 @kernel
 def vary(x: Samples, first: int, stop: int, out: Samples) -> None:
-    """How every cell of x (n, cells) varies from tick `first` to `stop`, into `out` (2, cells): slow variance, greatest step.
+    """How every cell of x (n, cells) steps from tick `first` to `stop`: share measured, greatest and median step, into `out` (3, cells).
 
-    Rows are a ring: a tick's row is its number modulo n. Slow variance: the variance, less half the mean square of a step (noise alone
-    would give 0); NaN where less than half was measured.
+    Rows are a ring: a tick's row is its number modulo n. Steps join measured ticks that follow each other; NaN: there is no step.
     """
     n = x.shape[0]
+    steps = np.empty(stop - first)
     for c in range(x.shape[1]):
-        level = math.nan
-        total, squares, steps, count, pairs, highest = 0.0, 0.0, 0.0, 0, 0, 0.0
+        count, pairs = 0, 0
         last = math.nan
         for t in range(first, stop):
             v = x[t % n, c]
             if abs(v) < math.inf:
-                level = v if count == 0 else level
-                total += v - level
-                squares += (v - level) * (v - level)
                 count += 1
                 if abs(last) < math.inf:
-                    steps += (v - last) * (v - last)
-                    highest = max(highest, abs(v - last))
+                    steps[pairs] = abs(v - last)
                     pairs += 1
             last = v
-        if 2 * count >= stop - first and pairs > 0:
-            out[0, c] = squares / count - (total / count) * (total / count) - 0.5 * steps / pairs
-        else:
-            out[0, c] = math.nan
-        out[1, c] = highest
+        out[0, c] = count / (stop - first)
+        out[1, c] = steps[:pairs].max() if pairs > 0 else math.nan
+        out[2, c] = np.median(steps[:pairs]) if pairs > 0 else math.nan
 
 
-def peak(power: Samples, rates: Samples) -> tuple[float, float]:
-    """The rate (per minute) at which the power (f,) is highest, between the grid's rates, and how much of all power is about it.
+@kernel
+def spectra(
+    x: Samples, first: int, segments: int, cells: Times, cosines: Samples, sines: Samples, out: Samples
+) -> None:
+    """Power spectra of some `cells` of the ring x (n, all cells) from tick `first` on, into `out` (cells, f); sums over `segments`."""
+    n, size = x.shape[0], cosines.shape[1]
+    piece, straight = np.empty(size), np.empty(size)
+    out[:] = 0.0
+    for k in range(cells.shape[0]):
+        for segment in range(segments):
+            for i in range(size):
+                piece[i] = x[(first + segment * size + i) % n, cells[k]]
+            straighten(piece, straight)
+            powers(straight, cosines, sines, out[k])
 
-    A peak at either end of the rates does not count: (NaN, 0).
+
+def together(power: Samples, noise: float) -> Samples:
+    """The whitened spectra of those cells that breathe most, summed: (f,). 1 is a cell's own noise.
+
+    power  (cells, f); noise: a power that no cell's noise is below
+
+    Each cell's spectrum is divided by its own median, and by the colour that most cells share: cameras smooth their depths over time, so
+    that noise is stronger at low rates. A chest is a small part of the region, so it hardly shows in that colour.
     """
-    total = float(power.sum())
+    white = power / (np.median(power, axis=1) + noise)[:, None]
+    if len(white) >= COLOURED:
+        colour = np.quantile(white, QUIET, axis=0)
+        colour = np.convolve(np.pad(colour, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+        white = white * (colour.mean() / np.maximum(colour, 0.05 * colour.mean()))
+    best = np.argsort(-white.max(axis=1), kind="stable")[:BEST]
+    summed: Samples = white[np.sort(best)].sum(axis=0)
+    return summed
+
+
+def peak(power: Samples, rates: Samples, lowest: float, highest: float) -> tuple[float, float]:
+    """The rate (per minute) at which the summed power (f,) is highest, between the grid's rates, and how high; (NaN, 0): there is none.
+
+    Breath is no sine: half of that rate is taken where it has much of the power, too.
+    """
     top = int(power.argmax())
-    if top == 0 or top == len(power) - 1 or not total > 0:
+    half = np.flatnonzero(np.abs(rates - rates[top] / 2) <= 1.0)
+    if len(half) and power[half].max() >= HARMONIC * power[top]:
+        top = int(half[power[half].argmax()])
+    if top == 0 or top == len(power) - 1:
         return math.nan, 0.0
     before, here, after = (float(v) for v in power[top - 1 : top + 2])
     bend = before - 2 * here + after
     shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    rate = float(rates[top] + shift * (rates[1] - rates[0]))
-    near = np.abs(rates - rate) <= HALF_WIDTH
-    return rate, float(power[near].sum()) / total
+    rate = float(rates[top] + max(-0.5, min(0.5, shift)) * (rates[1] - rates[0]))
+    return (rate, here) if lowest <= rate <= highest else (math.nan, 0.0)

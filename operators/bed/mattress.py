@@ -14,6 +14,8 @@ BELOW = 0.5
 MIDDLE = (0.4, 0.6)
 """Who lies in bed lies across this part of its length; pillows and a folded blanket do not reach it."""
 
+LEVEL, STRAY = 0.8, 0.02
+"""A flat bed has this much in its plane; so few blocks that rise are edges."""
 HIGHEST_MM = 400.0
 """Half of what stands out of a mattress is no higher; where it is, that is the bed, in a region that holds much of the floor."""
 
@@ -45,6 +47,20 @@ def mattress(depth: Samples, near: float) -> Samples:
     return made
 
 
+def level(above: Samples, rise: float) -> bool:
+    """Whether the bed is flat: nearly all that is measured lies in the mattress's plane, and nothing in the middle of its length rises.
+
+    above  (rows, columns) mm above the plane, NaN: not known
+    """
+    known = np.isfinite(above)
+    if not known.any() or 2 * known.sum() < above.size:
+        return False
+    first, last = (round(share * len(above)) for share in MIDDLE)
+    middle = above[first : max(last, first + 1)]
+    within = float((np.abs(above[known]) < rise / 2).mean())
+    return within >= LEVEL and not bool((middle > rise).sum() > STRAY * middle.size)
+
+
 def somebody(above: Samples, rise: float, least: float) -> bool:
     """Whether what is `above` the mattress (rows, columns; NaN: not known) by more than `rise` mm may be a body.
 
@@ -56,5 +72,7 @@ def somebody(above: Samples, rise: float, least: float) -> bool:
     first, last = (round(share * len(lies)) for share in MIDDLE)
     middle = lies[first : max(last, first + 1)]
     known = middle[np.isfinite(middle)]
+    if not len(known):
+        return False
     raised = known[known > rise]
     return bool(len(raised) >= max(1.0, least * len(known)) and np.median(raised) < HIGHEST_MM)

@@ -10,6 +10,8 @@ import numpy as np
 from kinegraph.operators.bed.bed_depths import BedDepths
 from kinegraph.operators.bed.bed_events import IN, NAMES, OUT, UNKNOWN
 from kinegraph.operators.bed.bodies import CROWD, CROWD_S, SUSPECT_S, Bodies, share_high
+from kinegraph.operators.bed.breath_watch import WINDOW_NS, BreathWatch
+from kinegraph.operators.bed.mattress import somebody
 from kinegraph.operators.bed.visitor import RoamingBody
 from kinegraph.stream.chunk import NEVER, NS, Times
 
@@ -50,6 +52,7 @@ class Occupancy:
     lay        (k,)             whether what may be a body stood out of the mattress in the newest stretch, while the bed was not known
     doubt      (k,)             why the depth is not believed (of DOUBTS); alive: for how many stretches something has moved; was_in: in
                                 bed when the camera was moved
+    watch                       whether breath is seen
     bodies, visitor             one in a region, or two; and whether something small walks about
     reported   (k,)             whether the newest event says `body`
     """
@@ -66,18 +69,19 @@ class Occupancy:
     doubt: Times
     alive: Times
     was_in: Times
+    watch: BreathWatch
     bodies: Bodies
     visitor: RoamingBody
     reported: Times
 
     @staticmethod
-    def unknown(sleepers: tuple[str, ...], shape: tuple[int, ...], limits: OccupancyLimits) -> Occupancy:
+    def unknown(sleepers: tuple[str, ...], shape: tuple[int, ...], rate_hz: float, limits: OccupancyLimits) -> Occupancy:
         """The state before the first frame: unknown for all sleepers. `shape`: (rows, columns) of the frames in blocks."""
         k = len(sleepers)
         state, wanted, still, lay, doubt, alive, was_in, reported = (np.zeros(k, np.int64) for _ in range(8))
         return Occupancy(
             list(sleepers), limits, BedDepths.of(k, shape), state, wanted, np.full(k, NEVER), np.full(k, NEVER), still, lay, doubt, alive,
-            was_in, Bodies.of(k, shape), RoamingBody.of(k, shape), reported,
+            was_in, BreathWatch.of(k, shape, rate_hz), Bodies.of(k, shape), RoamingBody.of(k, shape), reported,
         )  # fmt: skip
 
     def end_second(self, end: int, events: Rows) -> None:
@@ -86,6 +90,9 @@ class Occupancy:
         for k in range(len(self.sleepers)):
             self._judge(k, end, events)
         self.visitor.second += 1
+        if self.watch.end(end, self.beds.regions, (self.state == IN).tolist()):
+            for k in range(len(self.sleepers)):
+                self._judge_breath(k, end, events)
         if end - self.beds.seconds.since >= self.limits.learn_s * NS:
             for k in range(len(self.sleepers)):
                 self._judge_stretch(k, end, events)
@@ -97,6 +104,7 @@ class Occupancy:
             self.bodies.moved(self.beds.empty, self.beds.regions)
             self.visitor.forget()
             self.beds.forget()
+            self.watch.forget()
         for k in range(len(self.sleepers)):
             if what in ("moved", "dark"):
                 self.was_in[k] = int(self.state[k] == IN or (self.was_in[k] and self.state[k] == UNKNOWN))
@@ -167,19 +175,42 @@ class Occupancy:
             return self.bodies.early(k, share_high(beds.above(k), rise), float(beds.seen_now[k, 1]))
         return self.bodies.times(k, float(beds.seen_now[k, 0]), beds.seconds.mean, beds.regions, rise)
 
+    def _judge_breath(self, k: int, end: int, events: Rows) -> None:
+        """What the newest window of breath says: that nobody breathes any more in a heap, or that somebody does after all."""
+        beds = self.beds
+        if not beds.known(k) and not somebody(beds.above_mattress(k), self.limits.rise_mm, self.limits.least_share):
+            return  # nothing there may be a body: the stretch decides
+        if self.state[k] == IN and self.watch.silent(k):
+            self.doubt[k] = STILL
+            self._become(k, UNKNOWN, end - int(self.watch.lull[k]) * WINDOW_NS, end - 1, events, "still", keep=True)
+        elif self.state[k] == UNKNOWN and self.doubt[k] == STILL and self._breathes(k, end - WINDOW_NS):
+            self._become(k, IN, end - WINDOW_NS, end - 1, events)
+
+    def _breathes(self, k: int, since: int) -> bool:
+        """Whether breath was seen in a window that ended after `since`, and something is there that may be a body."""
+        if self.watch.seen[k] <= since:
+            return False
+        if not self.beds.known(k):
+            return bool(self.lay[k])
+        return bool(self.beds.seen_now[k, 0] >= AGAIN * self.limits.least_share)
+
     def _judge_stretch(self, k: int, end: int, events: Rows) -> None:
         """What the stretch that is over says: learn the empty bed, or note that somebody is there."""
         beds, limits = self.beds, self.limits
-        moving, known = beds.moving(k, limits.still_mm), beds.known(k)
+        known = beds.known(k)
+        lies = not known and beds.lies(k, limits.rise_mm, limits.least_share)
+        moving = beds.moving(k, limits.still_mm, limits.rise_mm, anywhere=known)
         if moving < 0 or beds.seen_now[k, 2] < limits.least_valid:
             self.still[k] = 0
             return
         if self.doubt[k] == DARK:
             return
-        lies = not known and beds.lies(k, limits.rise_mm, limits.least_share)
         self.still[k] *= lies or not self.lay[k]  # what was raised has gone unseen
         self.lay[k] = int(lies)
-        if moving > max(2.0, ALIVE * beds.regions[k, 2] * beds.regions[k, 3]):
+        breathes = self._breathes(k, beds.seconds.since) or (
+            self.state[k] == OUT and self.watch.seen[k] > beds.seconds.since
+        )
+        if breathes or moving > max(2.0, ALIVE * beds.regions[k, 2] * beds.regions[k, 3]):
             self._moves(k, known, end, events)
             return
         self.still[k] += 1
@@ -195,7 +226,8 @@ class Occupancy:
         if self.state[k] == IN and judged and limits.unsure_s and quiet_s >= limits.unsure_s:
             self.doubt[k] = STILL
             self._become(k, UNKNOWN, end - round(quiet_s * NS), end - 1, events, "still", keep=True)
-        if held and (not patience_s or quiet_s < patience_s):
+        flat = not known and (bool(beds.flat[k]) or (not lies and self.watch.silent(k)))
+        if held and not flat and (not patience_s or quiet_s < patience_s):
             return
         beds.learn(k)
         self.bodies.taken[beds.part(k)] = np.nan
@@ -234,6 +266,7 @@ class Occupancy:
             self.was_in[k] = 0
             self.bodies.left(k)
             self.visitor.left(k)
+            self.watch.left(k)
         events.append((stamp, self._event(k, since, why)))
 
     def _event(self, k: int, since: int, why: str) -> tuple[Any, ...]:

@@ -88,7 +88,9 @@ class Presence(Operator[PresenceState]):
         )  # fmt: skip
         longest_s = max(limits.vacant_s, limits.unsure_s, limits.odd_s, BLIND_S, CROWD_S, self.hold_s, self.unseen_s)
         self.set_state(
-            PresenceState(block, Occupancy.unknown(sleepers, spec.shape, limits), np.zeros(2, np.int64)),
+            PresenceState(
+                block, Occupancy.unknown(sleepers, spec.shape, spec.rate_hz or 0.0, limits), np.zeros(2, np.int64)
+            ),
             delay_s=1.0,
             decision_s={"out": longest_s + self.learn_s + 1},
         )
@@ -114,6 +116,7 @@ class Presence(Operator[PresenceState]):
                 if seconds.begin == NEVER:
                     seconds.begin = time // NS * NS
                 add(chunk.data[i], seconds.sums, seconds.counts)
+                s.occupancy.watch.add(chunk.data[i], time)
         elif port == "view":
             for stamp, event in zip(chunk.time.tolist(), chunk.data, strict=True):
                 self._pass(stamp - 1, events, heights)

@@ -160,7 +160,7 @@ def test_a_night_of_an_older_version_is_read_goes_on_and_is_explained_as_far_as_
 ) -> None:
     night, log = Night(), opened(tmp_path / "nights", report=False)
     log.begin()
-    feed(log, night.told(0, 120))
+    feed(log, night.chunks(0, 120))
     log.close()
     (folder,) = (tmp_path / "nights").glob("2025*")
     table = folder / archive.EPOCHS
@@ -170,7 +170,7 @@ def test_a_night_of_an_older_version_is_read_goes_on_and_is_explained_as_far_as_
     table.write_text("".join(",".join(cells[i] for i in older) + "\n" for cells in lines))
     again = opened(tmp_path / "nights", report=False)
     again.begin()
-    feed(again, chain(night.told(120), night.end()))
+    feed(again, chain(night.chunks(120), night.end()))
     again.close()
     assert {line.count(",") for line in table.read_text().splitlines()} == {len(older) - 1}, (
         "the rest has the same columns"

@@ -2,6 +2,8 @@
 
 A pixel of 0 was not measured. In a block that holds enough measured pixels it stands for the mean of those; any other block is 0
 throughout, so that the pattern of missing pixels, too, has no detail finer than a block.
+
+The level of a tilted block is that of its middle: the mean of what is measured would tremble with the pixels that happen to be missing.
 """
 
 from __future__ import annotations
@@ -16,6 +18,59 @@ from kinegraph.stream.kernel import kernel
 
 Frame = NDArray[np.uint16]
 Single = NDArray[np.float32]
+EDGE_MM = 100.0
+"""No more of a step to the only neighbour that is measured is a slope."""
+
+
+@kernel(nogil=True)
+def measure(frame: Frame, b: int, needed: int, levels: Samples) -> None:
+    """Of every block of `frame` (h, w), into `levels` (3, h/b, w/b): the mean of what is measured, and how far down and right that lies.
+
+    NaN, where less than `needed` pixels are measured; how far: from the block's middle, in pixels, on average.
+    """
+    w = levels.shape[2] * b
+    sums = np.empty((3, w), np.int32)
+    for r in range(levels.shape[1]):
+        sums[:] = 0
+        for j in range(b):
+            for x in range(w):
+                there = np.int32(frame[r * b + j, x] != 0)
+                sums[0, x] += frame[r * b + j, x]
+                sums[1, x] += there
+                sums[2, x] += there * np.int32(j)
+        for q in range(levels.shape[2]):
+            total, count, down, right = 0, 0, 0, 0
+            for x in range(q * b, q * b + b):
+                total += sums[0, x]
+                count += sums[1, x]
+                down += sums[2, x]
+                right += sums[1, x] * (x - q * b)
+            enough = count >= needed
+            levels[0, r, q] = total / count if enough else math.nan
+            levels[1, r, q] = down / count - 0.5 * (b - 1) if enough else 0.0
+            levels[2, r, q] = right / count - 0.5 * (b - 1) if enough else 0.0
+
+
+@kernel
+def levelled(levels: Samples, by: Samples, b: int, r: int, q: int) -> float:
+    """The level at the middle of a block of `levels` (3, rows, columns), as `measure` has them, with the slopes of `by` (rows, columns)."""
+    down, right = slope(by, r, q, 1, 0), slope(by, r, q, 0, 1)
+    level: float = levels[0, r, q] - (down * levels[1, r, q] + right * levels[2, r, q]) / b
+    return level
+
+
+@kernel
+def slope(level: Samples, r: int, q: int, down: int, right: int) -> float:
+    """How much `level` (rows, columns) rises per block about one block; 0 at an edge, and where no neighbour is measured."""
+    rows, columns = level.shape
+    one = level[r, q] - level[r - down, q - right] if r >= down and q >= right else math.nan
+    two = level[r + down, q + right] - level[r, q] if r + down < rows and q + right < columns else math.nan
+    if one != one or two != two:
+        only = two if one != one else one
+        return only if abs(only) < EDGE_MM else 0.0
+    if not one * two > 0.0:
+        return 0.0
+    return 2.0 * one * two / (one + two)  # no jump where an edge comes near: at most twice the smaller one
 
 
 @kernel(nogil=True)
@@ -28,7 +83,7 @@ def simplify(
     out: Frame,
     means: Samples,
 ) -> None:
-    """Every block of `frame` (h, w) as `centre` plus its projections on `tiles`, into `out` (h, w); its mean into `means` (h/b, w/b).
+    """Every block of `frame` (h, w) as `centre` plus its projections on `tiles`, into `out` (h, w); its level into `means` (h/b, w/b).
 
     tiles    (m, b, w)  orthonormal vectors (b, b), side by side as often as there are blocks in a row
     centre   (b, w)     what is subtracted from a block before it is projected, side by side
@@ -38,24 +93,20 @@ def simplify(
     Room to work in is made here, not kept: nothing of a frame must stand in a snapshot.
     """
     m, b, w = tiles.shape
-    sums = np.empty((2, w), np.int32)
+    levels = np.empty((3, frame.shape[0] // b, w // b))
+    measure(frame, b, needed, levels)
+    first = np.empty_like(means)
+    for r in range(means.shape[0]):
+        for q in range(means.shape[1]):
+            first[r, q] = levelled(levels, levels[0], b, r, q)
     rows = np.empty((b + 1 + m, w), np.float32)
     for r in range(frame.shape[0] // b):
         top = r * b
-        sums[:] = 0
-        for j in range(b):
-            for x in range(w):
-                sums[0, x] += frame[top + j, x]
-                sums[1, x] += np.int32(frame[top + j, x] != 0)
         for q in range(w // b):
-            total, count = 0, 0
+            means[r, q] = levelled(levels, first, b, r, q)  # slopes of levels that tremble less
+            mean = levels[0, r, q]
             for x in range(q * b, q * b + b):
-                total += sums[0, x]
-                count += sums[1, x]
-            mean = total / count if count >= needed else 0.0
-            means[r, q] = mean if count >= needed else math.nan
-            for x in range(q * b, q * b + b):
-                rows[b, x] = np.float32(mean)
+                rows[b, x] = np.float32(mean) if mean == mean else np.float32(0.0)
         for j in range(b):
             for x in range(w):
                 p = frame[top + j, x]

@@ -69,17 +69,34 @@ def look(mean: Samples, empty: Samples, regions: Times, rise: float, out: Sample
 def steep(depth: Samples, limit: float) -> NDArray[np.bool_]:
     """Where neighbours of `depth` (rows, columns) differ by more than `limit`: edges.
 
-    The mean of a block that holds both sides of an edge trembles with the pixels that happen to be measured in a frame.
+    The mean of a block that holds both sides of an edge trembles with the pixels that happen to be measured in a frame. A tilted plane has
+    no edge: there the depth goes on as it came.
     """
     edge = np.zeros(depth.shape, np.bool_)
-    down, right = np.abs(np.diff(depth, axis=0)) > limit, np.abs(np.diff(depth, axis=1)) > limit
+    down, right = _leaps(np.diff(depth, axis=0), limit), _leaps(np.diff(depth, axis=1).T, limit).T
     for part, far in ((np.s_[1:], down), (np.s_[:-1], down), (np.s_[:, 1:], right), (np.s_[:, :-1], right)):
         edge[part] |= far
     return edge
 
 
+def _leaps(step: Samples, limit: float) -> NDArray[np.bool_]:
+    """Which of the steps (n, m) between rows are larger than `limit`, and by as much unlike the step before or after them."""
+    unlike = np.abs(np.diff(step, axis=0))
+    around = np.full((2, *step.shape), np.nan)
+    around[0, 1:], around[1, :-1] = unlike, unlike
+    alone = np.isnan(around).all(axis=0)
+    leaps: NDArray[np.bool_] = (np.abs(step) > limit) & (alone | (around > limit).any(axis=0))
+    return leaps
+
+
 def restless(stretch: Samples, region: Times, least: float) -> int:
-    """How many blocks of a region vary by more than `least` and three times the frame's median; -1: the stretch was not seen.
+    """How many blocks of a region vary, see `restless_blocks`; -1: the stretch was not seen."""
+    found = restless_blocks(stretch, region, least)
+    return -1 if found is None else int(found.sum())
+
+
+def restless_blocks(stretch: Samples, region: Times, least: float) -> NDArray[np.bool_] | None:
+    """Which blocks of a region vary by more than `least` and three times the frame's median; None: the stretch was not seen.
 
     Blocks on an edge are left out: see `steep`.
     """
@@ -89,14 +106,15 @@ def restless(stretch: Samples, region: Times, least: float) -> int:
     row, column, rows, columns = (int(v) for v in region)
     part = (slice(row, row + rows), slice(column, column + columns))
     if not usable[part].any():
-        return -1
+        return None
     n = np.maximum(count, 1.0)
     usable &= ~steep(np.where(usable, stretch[1] / n, np.nan), EDGE_MM)
     if not usable[part].any():
-        return -1
+        return None
     spread = np.sqrt(np.maximum(stretch[2] / n - (stretch[1] / n) ** 2, 0.0))
     limit = max(least, 3.0 * float(np.median(spread[usable])))
-    return int((usable[part] & (spread[part] > limit)).sum())
+    found: NDArray[np.bool_] = usable[part] & (spread[part] > limit)
+    return found
 
 
 @dataclass(slots=True)

@@ -54,7 +54,8 @@ class Simplify(Operator[SimplifyState]):
     out     (height, width) uint16, mm: every block of `block` x `block` pixels as its level, and with more `components` than one also
             its projections on the principal components of what blocks hold beside their level. A block with fewer measured pixels than
             `least_valid` is 0 throughout; in any other all pixels have a value, those that were not measured count as the block's mean
-    blocks  (height / block, width / block) float64, mm: the mean of each block's measured pixels; NaN where it is not measured
+    blocks  (height / block, width / block) float64, mm: the level of each block's middle: the mean of its measured pixels, less what
+            the slope of the blocks around makes of those that are missing; NaN where it is not measured
     scene   an event at the first frame under another basis: a leap of all pixels that is no movement
 
     With one component a block is its mean: of what is finer nothing at all is left. More let the strongest patterns within blocks
