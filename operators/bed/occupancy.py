@@ -75,7 +75,9 @@ class Occupancy:
     reported: Times
 
     @staticmethod
-    def unknown(sleepers: tuple[str, ...], shape: tuple[int, ...], rate_hz: float, limits: OccupancyLimits) -> Occupancy:
+    def unknown(
+        sleepers: tuple[str, ...], shape: tuple[int, ...], rate_hz: float, limits: OccupancyLimits
+    ) -> Occupancy:
         """The state before the first frame: unknown for all sleepers. `shape`: (rows, columns) of the frames in blocks."""
         k = len(sleepers)
         state, wanted, still, lay, doubt, alive, was_in, reported = (np.zeros(k, np.int64) for _ in range(8))
