@@ -78,7 +78,7 @@ class Breathing(Operator[BreathingState]):
 
     >>> given, made = tried(Breathing)
     >>> made["sleeper"].tolist()[:2], made["rate"].round(1)[:4]
-    (['a', 'b'], array([nan, nan, 15., nan]))
+    (['a', 'b'], array([ nan,  nan, 15.4,  nan]))
     """
 
     inputs = {"regions": Input(), "bed": Input(optional=True), "blocks": Input()}

@@ -70,7 +70,7 @@ class Simplify(Operator[SimplifyState]):
 
     >>> given, made = tried(Simplify)
     >>> given["in"][0, 0, :4], made["blocks"][0, 0, :3].round()
-    (array([899,   0, 902, 902], dtype=uint16), array([913., 912., 914.]))
+    (array([899,   0, 902, 902], dtype=uint16), array([913., 913., 914.]))
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "blocks", "scene")
