@@ -27,17 +27,17 @@ check: .venv/installed-for-tests
 	$(BIN)/pytest -q -m "quick and not nightly"
 
 test: .venv/installed-for-tests
-	$(BIN)/python -m tests.compile_kernels
+	$(BIN)/kinegraph dev compile operators
 	$(BIN)/pytest -n 3 --dist loadgroup
 
 nightly: .venv/installed-for-tests
-	$(BIN)/python -m tests.compile_kernels
+	$(BIN)/kinegraph dev compile operators
 	KINEGRAPH_FUZZ_S=$(FUZZ_S) KINEGRAPH_EXAMPLES=50 $(BIN)/pytest -n 3 --dist loadgroup -m "nightly or not nightly"
 
 test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps bitalino vmcp "osc4py3<1.0.4"
-	$(BIN)/python -m tests.compile_kernels
+	$(BIN)/kinegraph dev compile operators
 	$(BIN)/pytest -n 2 --dist loadgroup -m "nightly or not nightly" tests/peers tests/devices/test_oak.py tests/files/test_depthai_replay.py tests/devices/test_simulators.py \
 		tests/files/test_export.py tests/files/test_lab_exports.py tests/sleep/test_night_report.py
 

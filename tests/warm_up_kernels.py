@@ -7,7 +7,7 @@ import sys
 
 from numba.core.dispatcher import Dispatcher
 
-from kinegraph.stream.engine.warmup import _run_cases
+from kinegraph.stream.engine.warmup import run_cases
 from kinegraph.stream.graph.components import find
 from kinegraph.stream.operator import Operator
 
@@ -15,10 +15,10 @@ from kinegraph.stream.operator import Operator
 def main(use: str) -> None:
     part = find(use)
     assert issubclass(part, Operator)
-    _run_cases(part)
+    run_cases(part)
     before = compiled()
     part.warm_up_cases = part.cases  # type: ignore[method-assign]
-    _run_cases(part)
+    run_cases(part)
     for kernel in sorted(compiled() - before):
         print(kernel)
 

@@ -67,6 +67,7 @@ class Hub:
         self.over = ""
         self.reports: list[str] = []
         self.dropped = 0
+        self.starting = ""
         self._log: deque[dict[str, Any]] = deque(maxlen=LOG_LINES)
         self._lines = 0
         self._wanted: dict[str, Any] = {}
@@ -90,7 +91,7 @@ class Hub:
                     client.news.set()
             case "state":
                 self.table, self.dropped, self.states = header["table"], header["dropped"], self.states + 1
-                self.edges = header.get("edges", {})
+                self.edges, self.starting = header.get("edges", {}), header.get("starting", "")
             case "pace":
                 self._pace, self._paces = encode(header), self._paces + 1
             case "again":
@@ -193,6 +194,7 @@ class Hub:
             more = {
                 "clients": len(self.clients), "skipped": client.skipped, "dropped": self.dropped,
                 "over": self.over, "reports": [Path(file).name for file in self.reports],
+                "starting": self.starting,
             }  # fmt: skip
             found.append(encode({"t": "state", "table": self.table, "edges": self.edges, **more}))
         return found

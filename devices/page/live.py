@@ -178,6 +178,11 @@ class LivePage:
             {"t": "state", "table": facts, "dropped": self._handover.channel.dropped, "edges": self._rates()}
         )
 
+    def starting(self, text: str, over: bool) -> None:
+        """How far the compilation of kernels is, and whether it is over."""
+        told = "waiting for devices" if over else text
+        self._handover.state = encode({"t": "state", "table": {}, "dropped": 0, "starting": told})
+
     def _rates(self) -> dict[str, float]:
         """Samples per second of every edge since this was asked last."""
         edges = self._pipeline.edges if self._pipeline else {}

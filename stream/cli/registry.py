@@ -34,6 +34,10 @@ COMMANDS = {
     ),
     "info": ("kinegraph.stream.cli.commands.info:info", "Show what a recording holds."),
     "recover": ("kinegraph.stream.cli.commands.recover:recover", "Complete a recording left by a killed process."),
+    "dev compile": (
+        "kinegraph.stream.engine.compile_command:compile_",
+        "Compile kernels now, for graphs that start later.",
+    ),
     "dev try": ("kinegraph.stream.cli.commands.try_:try_", "Check an operator of your own against the laws."),
     "dev completion": (
         "kinegraph.stream.cli.completion:completion",

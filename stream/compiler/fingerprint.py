@@ -76,6 +76,32 @@ def fingerprint_of_class(cls: type) -> str:
     return hashlib.sha256("\n".join(sorted(files)).encode()).hexdigest()[:20]
 
 
+def kernels_of(cls: type) -> set[Any]:
+    """The kernels that a class's methods, and the functions and classes that they name, may call; not those within kernels."""
+    home = cls.__module__.partition(".")[0]
+    waiting: set[object] = {cls}
+    known: set[object] = set()
+    while waiting:
+        known.add(thing := waiting.pop())
+        if isinstance(thing, Dispatcher):
+            continue
+        waiting |= _leads(thing, home)[1] - known
+        if isinstance(thing, type) and _is_followed(thing, home):
+            waiting |= {value for value in vars(thing).values() if isinstance(value, Dispatcher)} - known
+    return {thing for thing in known if isinstance(thing, Dispatcher)}
+
+
+@cache
+def size_of(kernel: Any) -> int:
+    """How much a compiler has to do for a kernel: the bytes of its code and of all kernels in it."""
+    inside: set[Any] = set()
+    waiting = {kernel}
+    while waiting:
+        inside.add(found := waiting.pop())
+        waiting |= {value for _, value in _reached(found.py_func) if isinstance(value, Dispatcher)} - inside
+    return sum(len(found.py_func.__code__.co_code) for found in inside)
+
+
 @cache
 def _leads(thing: object, home: str) -> tuple[frozenset[str], frozenset[object]]:
     """The hashes of the files that a class, a function or a kernel stands in, or imports when it runs; and which ones it names."""

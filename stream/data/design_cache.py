@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, wraps
 from importlib.metadata import version
 from pathlib import Path
@@ -15,9 +16,9 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 
+from kinegraph.stream.compiler.cache import cache_folder
 from kinegraph.stream.compiler.fingerprint import fingerprint
 from kinegraph.stream.data.bounded import arrays
-from kinegraph.stream.kernel import cache_folder
 from kinegraph.stream.system.atomic_file import complete, private_folder
 
 P = ParamSpec("P")
@@ -78,5 +79,6 @@ def _versions() -> tuple[str, ...]:
 @cache
 def _folder() -> Path:
     folder = cache_folder() / "designs"
-    private_folder(folder)
+    with suppress(OSError):
+        private_folder(folder)
     return folder

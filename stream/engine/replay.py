@@ -13,6 +13,7 @@ from typing import Any
 from numpy.lib.recfunctions import repack_fields
 
 from kinegraph.stream.chunk import FOREVER, NS, Chunk, empty
+from kinegraph.stream.engine.ahead import CompilationReport
 from kinegraph.stream.engine.flow.edge import Observer, Push
 from kinegraph.stream.engine.flow.promise import Inside
 from kinegraph.stream.engine.flow.queues import recorded_drops
@@ -125,6 +126,7 @@ class Replay:
         self._joins = speed is None and output is None and not self._drops
         self._stopping = False
         self.view: SessionView | None = None
+        self.starting: CompilationReport = lambda text, over: None
         self._table: Table = {}
         self._rates = Rates()
         self._due = 0.0
@@ -156,7 +158,7 @@ class Replay:
 
     def run(self, progress: Callable[[float], None] = lambda done_s: None) -> Replayed:
         """Feed the whole recording; `progress` receives the seconds of session time done so far."""
-        warm_up(self.pipeline)
+        warm_up(self.pipeline, report=self.starting)
         if any(stream.kept == "packed" for stream in self.recording.streams.values()):
             Packer()
         recorder = self._open_output()

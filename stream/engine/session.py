@@ -27,7 +27,16 @@ from kinegraph.stream.engine.probing import probe
 from kinegraph.stream.engine.resume import catch_up
 from kinegraph.stream.engine.session_log import PriorSession, SessionLog
 from kinegraph.stream.engine.shortfall import INCOMPLETE, shortfalls
-from kinegraph.stream.engine.status import MemoryWatch, Outcome, Rates, SessionView, Table, recording_row, table_of
+from kinegraph.stream.engine.status import (
+    MemoryWatch,
+    Outcome,
+    Rates,
+    SessionView,
+    Table,
+    Views,
+    recording_row,
+    table_of,
+)
 from kinegraph.stream.engine.supervisor import GRACE_S, REST_S, SourceSupervisor
 from kinegraph.stream.engine.warmup import Compilations, warm_up
 from kinegraph.stream.engine.workers import Call, Watchdog, Workers
@@ -115,9 +124,7 @@ class Session:
         """Run until every source has ended, `stop` is called, or something fails; closes everything. Raises Interrupted while `warming`,
         DeviceError where a device is missing from the start."""
         self.probe()
-        self.warming = True
-        warm_up(self.pipeline, lambda: self._stopping)
-        self.warming = False
+        self._warm_up()
         self._open()
         compilations = Compilations()
         try:
@@ -139,6 +146,17 @@ class Session:
                 self.log.close(well=False)
                 raise
         return self._outcome(compilations.names)
+
+    def compile(self) -> None:
+        """Compile all that `run` compiles, for another time: nothing runs, no device is opened, the recording holds nothing."""
+        self._warm_up()
+        self._open()
+        self._close()
+
+    def _warm_up(self) -> None:
+        self.warming = True
+        warm_up(self.pipeline, lambda: self._stopping, Views([self._view] if self._view else []).starting)
+        self.warming = False
 
     def in_hand(self) -> Call | None:
         """The call of a node that has been found under way for longest, or None; may be asked from any thread."""

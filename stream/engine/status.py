@@ -141,6 +141,9 @@ class SessionView(Protocol):
     def update(self, table: Table) -> None:
         """Take the newest metrics, once a second; must not wait."""
 
+    def starting(self, text: str, over: bool) -> None:
+        """Take how far the compilation of kernels is, in words, and whether it is over; must not wait."""
+
 
 class Views(list[SessionView]):
     """Several views as one."""
@@ -148,6 +151,10 @@ class Views(list[SessionView]):
     def update(self, table: Table) -> None:
         for view in self:
             view.update(table)
+
+    def starting(self, text: str, over: bool) -> None:
+        for view in self:
+            view.starting(text, over)
 
 
 @dataclass(slots=True)

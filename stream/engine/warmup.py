@@ -18,6 +18,7 @@ import structlog
 
 from kinegraph.stream.chunk import FOREVER, NS, Chunk, Specs, StreamSpec, empty
 from kinegraph.stream.data.rows import taking
+from kinegraph.stream.engine.ahead import CompilationReport, compiling_beside
 from kinegraph.stream.engine.flow.admission import soundness
 from kinegraph.stream.engine.flow.edge import CallSlot
 from kinegraph.stream.engine.flow.merge import Merge
@@ -43,7 +44,9 @@ SAMPLES = 64
 log = structlog.get_logger(__name__)
 
 
-def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
+def warm_up(
+    pipeline: Pipeline, stopped: Callable[[], bool] = bool, report: CompilationReport = lambda text, over: None
+) -> None:
     """Compile (or load from the cache) all kernels of a graph, and the engine's own.
 
     `stopped` is asked between two nodes. Raises GraphError where an operator breaks its specs' promises, Interrupted once `stopped`: a
@@ -53,6 +56,16 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
     timing.durations.append(1)
     timing.read()
     soundness(StreamSpec(()))(empty(StreamSpec(()), NS))
+    with compiling_beside(tried(pipeline.graph), stopped, report):
+        _warm_up(pipeline, stopped)
+
+
+def tried(graph: Graph) -> set[type[Operator[Any]]]:
+    """The operators that a warm-up tries."""
+    return {type(node.part) for node in graph.nodes.values() if isinstance(node.part, Operator) and not node.is_outlet}
+
+
+def _warm_up(pipeline: Pipeline, stopped: Callable[[], bool]) -> None:
     seen: set[type[Any]] = set()
     graph = pipeline.graph
     for node in graph.nodes.values():
@@ -70,7 +83,7 @@ def warm_up(pipeline: Pipeline, stopped: Callable[[], bool] = bool) -> None:
             with _unheard():
                 if type(node.part) not in seen:
                     seen.add(type(node.part))
-                    _run_cases(node.part)
+                    run_cases(node.part)
                 _run_made_up(graph, pipeline.stages[node.name])
         except BaseException as error:
             if asked_to_end(error) or isinstance(error, KinegraphError):
@@ -102,7 +115,8 @@ def _unheard() -> Iterator[None]:
         structlog.configure(processors=before)
 
 
-def _run_cases(part: Operator[Any]) -> None:
+def run_cases(part: Operator[Any] | type[Operator[Any]]) -> None:
+    """Run an operator on its own cases for the warm-up, which reach every kernel."""
     for case in part.warm_up_cases():
         operator = case.operator.unopened()
         specs = {port: spec for port, (spec, _, _) in case.inputs.items()}

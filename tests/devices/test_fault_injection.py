@@ -29,7 +29,7 @@ from kinegraph.devices.simulation.serve import Server
 from kinegraph.devices.trigno import simulator as trigno
 from kinegraph.devices.usb import simulated_reports as usb_reports
 from kinegraph.stream.engine.session import Session
-from kinegraph.stream.engine.status import Outcome, Table
+from kinegraph.stream.engine.status import Outcome, SessionView, Table
 from kinegraph.stream.graph import Graph
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.recording import Recording
@@ -158,7 +158,7 @@ def _plugged(name: str, source: Any, device: Any) -> Iterator[Source]:
             yield replace(source, port=address)
 
 
-class Watching:
+class Watching(SessionView):
     """A view that ends the session when all has shown that can, and every source that was opened again has samples from then on."""
 
     def __init__(self) -> None:

@@ -274,7 +274,8 @@ def test_outputs_that_nobody_reads(made: Path, tmp_path: Path) -> None:
 
 def test_a_cache_that_cannot_be_written_says_what_to_do(made: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    done = shell(f"{KINEGRAPH} check {made / 'graph.yaml'}", tmp_path, {"KINEGRAPH_CACHE": str(tmp_path / "file")})
+    run = f"{KINEGRAPH} run {made / 'graph.yaml'} --view none"
+    done = shell(run, tmp_path, {"KINEGRAPH_CACHE": str(tmp_path / "file")})
     assert done.returncode == 2 and "set KINEGRAPH_CACHE to a folder that can be written" in done.stderr
 
 

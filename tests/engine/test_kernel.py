@@ -89,7 +89,7 @@ def test_a_cache_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "late.py").write_text(code)
     environment = {**os.environ, "KINEGRAPH_CACHE": str(tmp_path / "file")}
     found = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import late"],
+        [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import late; late.f(1.0)"],
         capture_output=True, text=True, env=environment, check=False,
     )  # fmt: skip
     assert found.returncode == 1

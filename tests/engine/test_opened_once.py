@@ -69,7 +69,7 @@ def alike(node: Node, graph: Graph) -> int:
 
 @pytest.fixture
 def openings(monkeypatch: pytest.MonkeyPatch) -> Iterator[Openings]:
-    monkeypatch.setattr(warmup, "_run_cases", lambda part: None)  # other operators, with parameters of their own
+    monkeypatch.setattr(warmup, "run_cases", lambda part: None)  # other operators, with parameters of their own
     yield Openings()
 
 

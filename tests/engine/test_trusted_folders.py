@@ -60,20 +60,20 @@ def test_a_folder_that_others_may_write_is_not_run_from(kinegraph: Command, grap
 
 @pytest.mark.skipif(os.name != "posix", reason="owners as POSIX has them")
 def test_the_kernel_cache_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from kinegraph.stream import kernel
+    from kinegraph.stream.compiler import cache
 
     monkeypatch.setenv("KINEGRAPH_CACHE", str(tmp_path / "cache"))
-    kernel.cache_folder.cache_clear()
+    cache.cache_folder.cache_clear()
     try:
-        assert kernel.cache_folder().stat().st_mode & 0o077 == 0
+        assert cache.cache_folder().stat().st_mode & 0o077 == 0
         for shared in (tmp_path / "cache", tmp_path / "cache" / "kernels"):
             shared.chmod(0o777)
-            kernel.cache_folder.cache_clear()
+            cache.cache_folder.cache_clear()
             with pytest.raises(KinegraphError, match="may be written by others"):
-                kernel.cache_folder()
+                cache.cache_folder()
             shared.chmod(0o700)
     finally:
-        kernel.cache_folder.cache_clear()
+        cache.cache_folder.cache_clear()
 
 
 def doubled(x: float) -> float:
@@ -83,21 +83,22 @@ def doubled(x: float) -> float:
 @pytest.mark.skipif(os.name != "posix", reason="owners as POSIX has them")
 def test_a_kernels_own_folder_is_nobody_elses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever the umask of a program that imports kinegraph; and where one was left open, what may have been planted is not run."""
-    from kinegraph.stream import kernel
+    from kinegraph.stream.compiler import cache
+    from kinegraph.stream.kernel import kernel
 
     monkeypatch.setenv("KINEGRAPH_CACHE", str(tmp_path / "cache"))
-    kernel.cache_folder.cache_clear()
+    cache.cache_folder.cache_clear()
     umask = os.umask(0)
     try:
-        assert kernel.kernel(doubled)(2.0) == 4.0
+        assert kernel(doubled)(2.0) == 4.0
         (made,) = (tmp_path / "cache" / "kernels").glob("*test_trusted_folders-*")
         assert made.stat().st_mode & 0o077 == 0
         made.chmod(0o777)
         with pytest.raises(KinegraphError, match=r"may be written by others.*chmod go-w"):
-            kernel.kernel(doubled)(2.0)
+            kernel(doubled)(2.0)
     finally:
         os.umask(umask)
-        kernel.cache_folder.cache_clear()
+        cache.cache_folder.cache_clear()
 
 
 def test_ones_own_folder_is_taken(tmp_path: Path) -> None:

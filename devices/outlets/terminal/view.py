@@ -17,6 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kinegraph.stream.graph import Graph
+from kinegraph.stream.text.progress import FirstAndLast
 from kinegraph.stream.text.safe_text import plain
 from kinegraph.stream.text.screen import Screen
 from kinegraph.stream.text.time_text import elapsed, rate
@@ -25,7 +26,7 @@ from kinegraph.stream.text.units import shown
 REFRESH_HZ = 2.0
 LINE_S = 10.0
 HINT = "a word and Enter annotates · a digit or the space bar marks · Ctrl-C ends"
-WAITING = "getting ready (up to a minute where kernels must be compiled first: after an installation or an edit)"
+WAITING = "getting ready"
 
 log = structlog.get_logger(__name__)
 
@@ -45,6 +46,7 @@ class TerminalView:
     def __init__(self, graph: Graph, file: TextIO | None = None) -> None:
         self.name = graph.name or graph.path
         self.metrics: Metrics = {}
+        self.waits_for = WAITING
         self.notices: dict[str, RenderableType] = {}
         self._file = file or sys.stdout
         self._began = time.monotonic()
@@ -54,6 +56,10 @@ class TerminalView:
         if not self.metrics:
             self._began = time.monotonic()
         self.metrics = metrics
+
+    def starting(self, text: str, over: bool) -> None:
+        """How far the compilation of kernels is, and whether it is over; from any thread."""
+        self.waits_for = WAITING if over else text
 
     def hang_out(self, title: str, notice: RenderableType, line: str) -> None:
         """Show `notice` before the metrics until the next one of this title; `line` says the same where lines are shown, "" nothing."""
@@ -102,7 +108,7 @@ class LiveView(TerminalView):
 
     def panel(self) -> RenderableType:
         if not self.metrics:
-            return Text.assemble((self.name, "bold"), f"  {WAITING}")
+            return Text.assemble((self.name, "bold"), f"  {self.waits_for}")
         head = Text.assemble((self.name, "bold"), f"  {elapsed(self.elapsed_s)}  ", (HINT, "dim"))
         return Group(head, Columns([*self.notices.values(), metrics_table(self.metrics)], padding=(0, 4)))
 
@@ -114,12 +120,16 @@ class LineView(TerminalView):
         super().__init__(graph, file)
         self._next = LINE_S
         self._printed: Metrics = {}
+        self._starting = FirstAndLast(lambda text: self._say(f"{self.name}: {text}"))
 
     def update(self, metrics: Metrics) -> None:
         super().update(metrics)
         if self.elapsed_s >= self._next:
             self._next = self.elapsed_s + LINE_S
             self._print_metrics()
+
+    def starting(self, text: str, over: bool) -> None:
+        self._starting(text, over)
 
     def __exit__(self, *of: object) -> None:
         super().__exit__(*of)

@@ -120,6 +120,7 @@ class Main implements Page {
       case "state":
         for (const panel of this.panels) if (panel instanceof StatePanel || panel instanceof GraphPanel) panel.take(message);
         if (message.over) this.end(message.over, message.reports ?? []);
+        else if (message.starting) this.say(`starting: ${message.starting}`);
         else if (this.starting) this.begun(message.table);
         return;
       case "gaps":

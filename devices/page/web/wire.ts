@@ -68,7 +68,7 @@ export interface NewestMessage {
 }
 export type Row = Record<string, string | number>;
 export interface StateMessage {
-  t: "state"; table: Record<string, Row>; clients: number; skipped: number; dropped: number; over: string; reports?: string[];
+  t: "state"; table: Record<string, Row>; clients: number; skipped: number; dropped: number; over: string; reports?: string[]; starting?: string;
   edges?: Record<string, number>;
 }
 export interface LogMessage { t: "log"; lines: { at: number; level: string; text: string }[] }

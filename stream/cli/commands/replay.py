@@ -252,10 +252,11 @@ def _tell_missing(of: Substitutes) -> None:
 def _with_progress(run: Replay, quiet: bool) -> Replayed:
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from kinegraph.stream.text.progress import FirstAndLast
     from kinegraph.stream.text.screen import Screen
 
     columns = (
-        TextColumn("replay"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
         TimeRemainingColumn(),
@@ -264,6 +265,10 @@ def _with_progress(run: Replay, quiet: bool) -> Replayed:
     off = quiet or not console.is_terminal
     with _interruptible(run), Progress(*columns, console=console, disable=off) as bar:
         task = bar.add_task("replay", total=max(run.recording.duration_ns / 1e9, 1e-9))
+        if not off:
+            run.starting = lambda text, over: bar.update(task, description="replay" if over else text)
+        elif not quiet:
+            run.starting = FirstAndLast()
         return run.run(lambda done_s: bar.update(task, completed=done_s))
 
 
