@@ -57,9 +57,9 @@ def run_and_hear(config: Path, folder: Path, *settings: str) -> tuple[str, Sampl
                 for pose in frames.feed(messages):  # a pose is whole when the next one begins
                     times.append(before)
                     poses.append(pose)
-            said = session.communicate(timeout=60)[0]
+            reported = session.communicate(timeout=60)[0]
         finally:
             session.kill()
             session.wait(30)
-    assert session.returncode == 0, said
-    return said, np.array(times), np.array(poses)
+    assert session.returncode == 0, reported
+    return reported, np.array(times), np.array(poses)

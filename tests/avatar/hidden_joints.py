@@ -43,28 +43,28 @@ def hidden(scene: Scene, first: int, last: int, width: int, height: int) -> Arra
     return made
 
 
-def late_flags(told: Following, covered: Array, first: int) -> dict[str, int]:
+def late_flags(reported: Following, covered: Array, first: int) -> dict[str, int]:
     """Joints that are `covered` (n, 13) from frame `first` on, and not flagged for more than 3 frames on end: for how many."""
     found = {}
     for i, point in enumerate(POINTS):
         run = most = 0
         for k, is_covered in enumerate(covered[:, i]):
-            run = run + 1 if is_covered and not told.guessed[first + k, FLAGGED_BY[i]] else 0
+            run = run + 1 if is_covered and not reported.guessed[first + k, FLAGGED_BY[i]] else 0
             most = max(most, run)
         if most > 3:
             found[point] = most
     return found
 
 
-def late_returns(told: Following, covered: Array, first: int) -> dict[str, int]:
+def late_returns(reported: Following, covered: Array, first: int) -> dict[str, int]:
     """Joints that have been covered, and are not seen again within 10 frames once nothing covers them any more: after how many."""
     found = {}
     for i, point in enumerate(POINTS):
         if covered[:, i].any():
             seen = np.flatnonzero(
-                told.guessed[first + int(np.flatnonzero(covered[:, i])[-1]) + 1 :, FLAGGED_BY[i]] == 0
+                reported.guessed[first + int(np.flatnonzero(covered[:, i])[-1]) + 1 :, FLAGGED_BY[i]] == 0
             )
-            after = int(seen[0]) if len(seen) else len(told.guessed)
+            after = int(seen[0]) if len(seen) else len(reported.guessed)
             if after > 10:
                 found[point] = after
     return found
@@ -110,11 +110,11 @@ def played(seen: Scene, seconds: float, *, network: bool) -> Following:
     """The chain from the first frame on, with `seen` in the place of the camera; what it is given are frames of the usual room."""
     width, height = (320, 200) if network else (160, 100)
     chain, performer = AvatarChain(width, height, 30.0, network=network), RenderedPerformer(width, height)
-    told = []
+    rows = []
     for k in range(round(30 * seconds)):
         depth, image = seen(k, performer.frame(k, k / 30.0), performer.image(k, k / 30.0))
-        told.append(chain.frame(round(k * 1e9 / 30), depth, image))
-    return Following(*(np.array(part) for part in zip(*told, strict=True)))
+        rows.append(chain.frame(round(k * 1e9 / 30), depth, image))
+    return Following(*(np.array(part) for part in zip(*rows, strict=True)))
 
 
 def leaning(k: int, depth: Array, image: Array) -> tuple[Array, Array]:

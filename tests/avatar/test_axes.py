@@ -343,8 +343,8 @@ def test_check_prints_the_axes_of_points(kinegraph: Command, tmp_path: Path) -> 
         "nodes:\n  people: {use: devices.people.performer.Performer}\n"
         "  pose: {use: operators.pose.WholePose, from: people.markers}\n"
     )
-    told = kinegraph("check", tmp_path / "g.yaml")
-    assert "13 x 3 float64 at 30 Hz in m; y up, z forward" in " ".join(told[1].split())
+    output = kinegraph("check", tmp_path / "g.yaml")
+    assert "13 x 3 float64 at 30 Hz in m; y up, z forward" in " ".join(output[1].split())
     plain = StreamSpec((2, 3), rate_hz=RATE, units=("mm",))
     assert describe_axes(plain) == "axes not declared"
     assert describe_axes(StreamSpec((2,), rate_hz=RATE, units=("uV",))) == ""
@@ -383,9 +383,9 @@ def test_a_model_is_trained_in_the_axes_of_its_recording(kinegraph: Command, tmp
         specs, out = through(SteerMesh(model=model), *performed("Qualisys", stride[:, list(marked().values())], names))
         assert Axes.of(specs["mesh"]) == axes
         assert np.linalg.norm(out["mesh"] - mesh, axis=-1).mean() < 0.02, name
-    told = kinegraph("motion", "train", "steering", tmp_path / "body.mcap", tmp_path / "lab.mcap", "--markers", tmp_path / "markers.yaml",
+    output = kinegraph("motion", "train", "steering", tmp_path / "body.mcap", tmp_path / "lab.mcap", "--markers", tmp_path / "markers.yaml",
                      "-o", tmp_path / "x.npz")  # fmt: skip
-    refused(told, "has other axes than the one before", code=2)
+    refused(output, "has other axes than the one before", code=2)
 
 
 def test_points_go_out_by_osc_as_they_are() -> None:

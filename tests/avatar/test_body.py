@@ -141,18 +141,18 @@ def test_a_camera_that_is_turned_over_gives_nothing_until_it_is_turned_back(caps
     assert (pixels_of(feed(background, "in", upright[180:], 180))[3:] > 500).all()
 
 
-@pytest.mark.parametrize("said", [False, True])
+@pytest.mark.parametrize("expected", [False, True])
 def test_a_camera_that_hangs_upside_down_from_the_start_gives_nothing_unless_it_was_said(
-    said: bool, capsys: Any
+    expected: bool, capsys: Any
 ) -> None:
-    background = Background(upside_down=said)
+    background = Background(upside_down=expected)
     background.open({"in": DEPTH})
     upright = seen_from(1.05, 2.7, 4.2, 0, 200)
     over = pixels_of(feed(background, "in", np.ascontiguousarray(upright[:150, ::-1, ::-1])))
-    assert (over[65:] > 500).all() if said else not over.any()
-    assert ("hangs upside down" in capsys.readouterr().out) is not said
+    assert (over[65:] > 500).all() if expected else not over.any()
+    assert ("hangs upside down" in capsys.readouterr().out) is not expected
     turned_back = pixels_of(feed(background, "in", upright[150:], 150))
-    assert said or (turned_back[5:] > 400).any(), "who moves is not seen again once the camera was turned"
+    assert expected or (turned_back[5:] > 400).any(), "who moves is not seen again once the camera was turned"
 
 
 def test_a_ceiling_is_no_floor_that_somebody_stands_on(capsys: Any) -> None:

@@ -46,10 +46,10 @@ def hands_over_hips(poses: Samples, times: Samples) -> list[tuple[Samples, Sampl
 def test_the_datagrams_follow_the_performer(network: bool, tmp_path: Path) -> None:
     if network:
         pose_network_or_skip()
-    said, times, poses = run_and_hear(rendered_config(tmp_path, 12.0, network=network), tmp_path)
-    asked = [said.find(word) for word in ("step into view", "stand still", "calibrated; the avatar follows")]
-    assert -1 < asked[0] < asked[1] < asked[2], said
-    assert ("there is no pose network" in said) == (not network)
+    reported, times, poses = run_and_hear(rendered_config(tmp_path, 12.0, network=network), tmp_path)
+    asked = [reported.find(word) for word in ("step into view", "stand still", "calibrated; the avatar follows")]
+    assert -1 < asked[0] < asked[1] < asked[2], reported
+    assert ("there is no pose network" in reported) == (not network)
     assert len(poses) > 300 and np.isfinite(poses).all()
     assert not np.ptp(poses[times < 2.0], axis=0).any(), "nobody is there, and the avatar moves"
     moving = times > 5.0

@@ -220,30 +220,30 @@ def untroubled(rate_hz: float, network: bool) -> tuple[list[dict[str, Array]], l
     width, height = (320, 200) if network else (160, 100)
     chain, performer = AvatarChain(width, height, rate_hz, network=network), RenderedPerformer(width, height)
     stamps = grid(rate_hz, round(FROM_S * rate_hz)).tolist()
-    told = [
+    rows = [
         chain.frame(stamp, performer.frame(k, k / rate_hz), performer.image(k, k / rate_hz))
         for k, stamp in enumerate(stamps)
     ]
-    return [operator.snapshot() for operator in chain.operators], told
+    return [operator.snapshot() for operator in chain.operators], rows
 
 
 def through(scene: Scene | None, rate_hz: float, *, network: bool) -> Following:
     states, before = untroubled(rate_hz, network)
     width, height = (320, 200) if network else (160, 100)
-    chain, performer, told = (
+    chain, performer, reported = (
         AvatarChain(width, height, rate_hz, network=network),
         RenderedPerformer(width, height),
         list(before),
     )
     for operator, state in zip(chain.operators, states, strict=True):
         operator.restore(state)
-    for k, stamp in list(enumerate(grid(rate_hz, round(END_S * rate_hz)).tolist()))[len(told) :]:
+    for k, stamp in list(enumerate(grid(rate_hz, round(END_S * rate_hz)).tolist()))[len(reported) :]:
         t = k / rate_hz
         depth, image = performer.frame(k, t), performer.image(k, t)
         if scene and t < UNTIL_S:
             depth, image = scene(k, depth, image)
-        told.append(chain.frame(stamp, depth, image))
-    return Following(*(np.array(part) for part in zip(*told, strict=True)))
+        reported.append(chain.frame(stamp, depth, image))
+    return Following(*(np.array(part) for part in zip(*reported, strict=True)))
 
 
 WHOLE = (gone, moved, invalid, upside_down, noise)
@@ -254,13 +254,13 @@ def _legs(guessed: Samples) -> Samples:
     return guessed[:, [BONES.index(bone) for bone in LEGS]]
 
 
-def held(told: Following, rate_hz: float) -> None:
+def held(reported: Following, rate_hz: float) -> None:
     """Assert what holds in every scene: numbers, no bone that turns too fast, no bone that changes its length."""
-    assert np.isfinite(told.poses).all() and np.isfinite(told.joints).all()
-    turns = joints_of(usual_body(), told.poses)[0]
+    assert np.isfinite(reported.poses).all() and np.isfinite(reported.joints).all()
+    turns = joints_of(usual_body(), reported.poses)[0]
     cosines = np.abs((turns[1:] * turns[:-1]).sum(axis=-1)).clip(0.0, 1.0)
     assert 2 * np.arccos(cosines).max() * rate_hz <= 20.0 + 1e-3, "a bone turns too fast"
-    after = told.joints[round(4.2 * rate_hz) :]  # calibrated by then
+    after = reported.joints[round(4.2 * rate_hz) :]  # calibrated by then
     lengths = np.linalg.norm(after[:, 1:] - after[:, NUMBERS[1:]], axis=2)
     assert (np.ptp(lengths, axis=0) <= 0.02 * lengths.mean(axis=0) + 1e-9).all(), "a bone's length changes"
 
@@ -272,12 +272,12 @@ def held(told: Following, rate_hz: float) -> None:
     ids=lambda v: getattr(v, "__name__", f"{v:g} fps" if isinstance(v, float) else str(v)),
 )
 def test_a_degraded_scene_breaks_nothing(scene: Scene, rate_hz: float) -> None:
-    told = through(scene, rate_hz, network=False)
-    held(told, rate_hz)
+    emitted = through(scene, rate_hz, network=False)
+    held(emitted, rate_hz)
     first, last = round(FROM_S * rate_hz), round(UNTIL_S * rate_hz)
-    guessed = told.guessed.sum(axis=1)
+    guessed = emitted.guessed.sum(axis=1)
     if scene is half:
-        assert _legs(told.guessed[first + 3 : last]).all(), "the legs are not flagged"
+        assert _legs(emitted.guessed[first + 3 : last]).all(), "the legs are not flagged"
     if scene is displaced:
         assert guessed[first + 10 : last].max() < 15, "nobody is found again in the new view"
     if scene in WHOLE:
@@ -292,10 +292,10 @@ def test_a_degraded_scene_breaks_nothing(scene: Scene, rate_hz: float) -> None:
 )
 def test_a_degraded_scene_breaks_nothing_with_the_network(scene: Scene, rate_hz: float) -> None:
     pose_network_or_skip()
-    told = through(scene, rate_hz, network=True)
-    held(told, rate_hz)
+    emitted = through(scene, rate_hz, network=True)
+    held(emitted, rate_hz)
     first, last = round(FROM_S * rate_hz), round(UNTIL_S * rate_hz)
-    hidden = told.guessed[first + 3 : last]
+    hidden = emitted.guessed[first + 3 : last]
     if scene in WHOLE:
         assert hidden.all(), "a limb that cannot be seen is not flagged within 3 frames"
     if scene is chair:
@@ -315,7 +315,7 @@ def test_a_degraded_scene_breaks_nothing_with_the_network(scene: Scene, rate_hz:
         assert hidden.mean() < 0.3, "most of the body can be followed all the same"
     if scene is dark:
         assert hidden.mean() < 0.1, "depth alone does not take over"
-    seen_again = np.logical_not(told.guessed[last : last + 10])
+    seen_again = np.logical_not(emitted.guessed[last : last + 10])
     assert seen_again.any(axis=0).all(), "a limb is not found again within 10 frames"
 
 
@@ -334,9 +334,9 @@ def test_a_turned_back_and_hands_before_the_body_break_nothing(
         return joints, heading
 
     monkeypatch.setattr(rendered_performer, "body_at", body_at)
-    told = through(None, 30.0, network=network)
-    held(told, 30.0)
+    emitted = through(None, 30.0, network=network)
+    held(emitted, 30.0)
     if network and motion is turned_back:
         k = round((FROM_S + UNTIL_S) / 2 * 30.0)
-        left, right = (told.joints[:, BONES.index(f"{side}UpperArm"), 0] for side in ("Left", "Right"))
+        left, right = (emitted.joints[:, BONES.index(f"{side}UpperArm"), 0] for side in ("Left", "Right"))
         assert left[k - 60] > right[k - 60] and left[k] < right[k] and left[-1] > right[-1], "the back is not followed"

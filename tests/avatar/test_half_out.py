@@ -17,14 +17,14 @@ SCENES += [HalfOut(away_m=away, frames=20) for away in (2.0, 1.6, 1.2)]
 
 
 def _hides(scene: HalfOut, *, network: bool) -> None:
-    told = through(scene, 30.0, network=network)
-    held(told, 30.0)
+    emitted = through(scene, 30.0, network=network)
+    held(emitted, 30.0)
     out = scene.outside(*((320, 200) if network else (160, 100)))
     assert out.any(), "the scene hides nothing"
-    assert not late_flags(told, out, FIRST)
+    assert not late_flags(emitted, out, FIRST)
     out[-1] = out.any(axis=0)  # whose hand is at the border while the wrist is in view is back once the trouble is over
-    assert not late_returns(told, out, FIRST)
-    assert not told.guessed[LAST + 10 :].all(axis=0).any(), "a bone is never found again"
+    assert not late_returns(emitted, out, FIRST)
+    assert not emitted.guessed[LAST + 10 :].all(axis=0).any(), "a bone is never found again"
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=str)
@@ -40,9 +40,9 @@ def test_what_is_outside_is_flagged_with_the_network(scene: HalfOut) -> None:
 
 def test_who_is_seen_but_for_a_forearm_is_followed() -> None:
     scene = HalfOut(aside=-0.45, frames=20)
-    told, out = through(scene, 30.0, network=False), scene.outside(160, 100)
+    emitted, out = through(scene, 30.0, network=False), scene.outside(160, 100)
     assert {POINTS[i] for i in np.flatnonzero(out.any(axis=0))} == {"right_elbow", "right_wrist"}
-    assert told.guessed[FIRST:LAST].mean() < 0.3, "what can be seen is flagged"
+    assert emitted.guessed[FIRST:LAST].mean() < 0.3, "what can be seen is flagged"
 
 
 def test_a_shoulder_beside_a_neck_at_the_border_is_no_head() -> None:

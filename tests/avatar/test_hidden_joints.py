@@ -21,23 +21,23 @@ CHAINS = pytest.mark.parametrize("network", [False, True], ids=["depth alone", "
 def test_hidden_joints_are_flagged_and_come_back(scene: Scene, network: bool) -> None:
     if network:
         pose_network_or_skip()
-    told = through(scene, 30.0, network=network)
-    held(told, 30.0)
+    emitted = through(scene, 30.0, network=network)
+    held(emitted, 30.0)
     covered = hidden(scene, FIRST, LAST, *((320, 200) if network else (160, 100)))
     assert covered.any(axis=0).sum() >= 4, "the scene hides nothing"
-    assert not late_flags(told, covered, FIRST)
-    assert not late_returns(told, covered, FIRST)
+    assert not late_flags(emitted, covered, FIRST)
+    assert not late_returns(emitted, covered, FIRST)
 
 
 @CHAINS
 def test_who_comes_in_while_another_leaves_is_followed_in_their_place(network: bool) -> None:
     if network:
         pose_network_or_skip()
-    told = through(relieved, 30.0, network=network)
-    held(told, 30.0)
-    guessed = told.guessed[FIRST:LAST].sum(axis=1)
+    emitted = through(relieved, 30.0, network=network)
+    held(emitted, 30.0)
+    guessed = emitted.guessed[FIRST:LAST].sum(axis=1)
     assert guessed.max() == len(BONES), "who has left is not flagged"
-    away = -told.joints[FIRST:LAST, BONES.index("Head"), 2]
+    away = -emitted.joints[FIRST:LAST, BONES.index("Head"), 2]
     there = np.flatnonzero(guessed < 8)
     assert ((abs(away[there] - 2.7) < 0.15) | (abs(away[there] - 3.1) < 0.15)).all(), (
         "somebody between the two is invented"
@@ -50,7 +50,7 @@ def test_who_comes_in_while_another_leaves_is_followed_in_their_place(network: b
 def test_who_leans_on_a_cupboard_while_the_camera_is_moved_is_not_invented(network: bool) -> None:
     if network:
         pose_network_or_skip()
-    told = played(leaning, 7.0, network=network)
-    held(told, 30.0)
-    assert told.guessed[FIRST + 3 : LAST].sum(axis=1).min() >= 15, "not flagged"
-    assert not told.guessed[LAST + 10 :].all(axis=0).any(), "not found again"
+    emitted = played(leaning, 7.0, network=network)
+    held(emitted, 30.0)
+    assert emitted.guessed[FIRST + 3 : LAST].sum(axis=1).min() >= 15, "not flagged"
+    assert not emitted.guessed[LAST + 10 :].all(axis=0).any(), "not found again"

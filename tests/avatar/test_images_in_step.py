@@ -56,9 +56,9 @@ def test_images_of_another_moment_are_left_alone_until_they_are_in_step_again(la
     assert np.isfinite(sure[FIRST + 1 : 200]).all()
     assert np.isnan(sure[290:330]).all(), "90 frames are enough to find out"
     assert np.isfinite(sure[430:]).all(), "and 100 that they are in step again"
-    told = capsys.readouterr().out
-    assert f"100 {'earlier' if late > 0 else 'later'}" in told and "in step with the depth again" in told
-    assert told.count("out of step") == 1
+    output = capsys.readouterr().out
+    assert f"100 {'earlier' if late > 0 else 'later'}" in output and "in step with the depth again" in output
+    assert output.count("out of step") == 1
 
 
 def test_images_that_never_were_in_step_are_found_out() -> None:

@@ -22,8 +22,8 @@ def outputs_of(content: bytes, image: np.ndarray) -> tuple[dict[tuple[int, ...],
     network.allocate_tensors()
     network.set_tensor(network.get_input_details()[0]["index"], image[None])
     network.invoke()
-    said = {tuple(map(int, o["shape"])): network.get_tensor(o["index"]).copy() for o in network.get_output_details()}
-    return said, len(network._get_ops_details())
+    facts = {tuple(map(int, o["shape"])): network.get_tensor(o["index"]).copy() for o in network.get_output_details()}
+    return facts, len(network._get_ops_details())
 
 
 def test_what_is_read_keeps_every_bit_without_the_mask() -> None:

@@ -151,8 +151,8 @@ def test_positions_of_no_unit_teach_nothing_and_the_cure_is_said(
     write_recording(
         tmp_path / "a.mcap", [Series("dance", spec, grid_of(RATE, np.arange(N), 0), rows.reshape(N, -1, 3))], {}
     )
-    told, why = refused(capsys, tmp_path / "a.mcap", "-o", tmp_path / "pose.npz")
-    assert "a: dance: its positions have no unit; import it again with --unit dance=cm" in told
+    output, why = refused(capsys, tmp_path / "a.mcap", "-o", tmp_path / "pose.npz")
+    assert "a: dance: its positions have no unit; import it again with --unit dance=cm" in output
     assert "no stream of poses" in why and not (tmp_path / "pose.npz").exists()
 
 
@@ -164,8 +164,8 @@ def test_what_markers_lack_is_said_and_points_can_be_given_for_it(
     file = c3d(tmp_path / "walk.c3d", names, labels=tuple(called.get(name, name) for name in names))
     kinegraph("files", "import", file, "-o", tmp_path / "walk.mcap")
     training = (tmp_path / "walk.mcap", "-o", tmp_path / "pose.npz", "--centres", "50")
-    told, _ = refused(capsys, *training)
-    assert "walk.markers: it shows no hip_l, knee_l, head; --markers says" in told
+    output, _ = refused(capsys, *training)
+    assert "walk.markers: it shows no hip_l, knee_l, head; --markers says" in output
     given = [word for name, label in called.items() for word in ("--landmark", f"{name}={label}")]
     for wrong, why in (
         ("hip_x=TOP", "no landmark 'hip_x'"),

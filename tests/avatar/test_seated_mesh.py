@@ -47,8 +47,8 @@ def followed(sequence: str, first: int, *, network: bool) -> Following:
         mock.patch.object(scenes, "Footing", partial(Footing, seated=True)),
     ):
         chain = AvatarChain(320, HEIGHT, 30.0, network=network)
-    told = [chain.frame(round(k * 1e9 / 30), *both) for k, both in enumerate(frames(room, sequence, first))]
-    return Following(*(np.array(part) for part in zip(*told, strict=True)))
+    rows = [chain.frame(round(k * 1e9 / 30), *both) for k, both in enumerate(frames(room, sequence, first))]
+    return Following(*(np.array(part) for part in zip(*rows, strict=True)))
 
 
 @needs_data
@@ -56,10 +56,10 @@ def followed(sequence: str, first: int, *, network: bool) -> Following:
 def test_somebody_at_a_desk_is_followed_from_the_hips_up(network: bool) -> None:
     if network:
         pose_network_or_skip()
-    told = followed("14_14", 700, network=network)
-    held(told, 30.0)
-    later = told.guessed[SETTLED:]
+    reported = followed("14_14", 700, network=network)
+    held(reported, 30.0)
+    later = reported.guessed[SETTLED:]
     assert later[:, HIDDEN].all(), "a hidden leg is not flagged"
     assert later[:, UPPER].mean() < 0.5, "nobody is followed"
-    legs = told.poses[:, 3:].reshape(len(told.poses), -1, 4)[:, HIDDEN]
+    legs = reported.poses[:, 3:].reshape(len(reported.poses), -1, 4)[:, HIDDEN]
     assert np.ptp(legs[SETTLED:], axis=0).max() < 1e-9, "the legs of somebody on a chair move"

@@ -103,7 +103,7 @@ def test_the_way_is_chosen_by_frames_left_out() -> None:
 def test_both_is_the_mean_and_taken_where_it_is_not_clearly_worse(tmp_path: Path) -> None:
     done: list[tuple[int, int]] = []
     both, way, off, _ = choose(
-        STRIDE[::2], FACES, marked(), REFERENCE, method="both", progress=lambda *told: done.append(told)
+        STRIDE[::2], FACES, marked(), REFERENCE, method="both", progress=lambda *expected: done.append(expected)
     )
     assert done == [
         (k, 9) for k in range(9)
@@ -169,13 +169,13 @@ def test_a_frame_of_markers_is_the_motion_that_brings_their_usual_places_nearest
     rng = np.random.default_rng(2)
     seen, weights = rng.normal(size=(5, 6, 3)), rng.uniform(0.1, 1.0, 6)
     frame = MarkerFrame.of(seen, weights, np.ones(6))
-    turns, middles, told = frame(seen)
+    turns, middles, reported = frame(seen)
     for f in range(5):
         fitted, _ = Rotation.align_vectors(seen[f] - middles[f], frame.usual, weights)
         assert np.allclose(turns[f], fitted.as_matrix())
         pose, own = np.zeros(9), np.zeros(18)
         see_from(seen[f], frame.weights, frame.usual, frame.shares, pose, own, np.zeros((11, 4)))
-        assert np.allclose(pose, [*turns[f, :, 0], *turns[f, :, 1], *middles[f]]) and np.allclose(own, told[f])
+        assert np.allclose(pose, [*turns[f, :, 0], *turns[f, :, 1], *middles[f]]) and np.allclose(own, reported[f])
 
 
 def unconstrained(model: Steering) -> Steering:
@@ -237,7 +237,7 @@ def test_angles_and_lengths_get_the_meshs_means_and_variances_and_places_meet_th
     made = graph_matched(graph, performed, STRIDE[:, AT], reference)
     assert np.allclose(made[:, reference].mean(axis=1), 0.0)
 
-    def told(marks: Samples) -> Samples:
+    def reported(marks: Samples) -> Samples:
         rows = []
         for frame in marks:
             lead = frame[graph.lead[1]] - frame[graph.lead[0]]
@@ -250,7 +250,7 @@ def test_angles_and_lengths_get_the_meshs_means_and_variances_and_places_meet_th
             rows.append([*turns, *(np.linalg.norm(edge) for edge in edges), np.linalg.norm(lead)])
         return np.array(rows)
 
-    a, b, c = told(performed), told(STRIDE[:, AT]), told(made)
+    a, b, c = reported(performed), reported(STRIDE[:, AT]), reported(made)
     wanted = b.mean(axis=0) + np.clip((a - a.mean(axis=0)) / a.std(axis=0), -3, 3) * b.std(axis=0)
     k = len(graph.edges)
     wanted[:, :k] = np.clip(wanted[:, :k], 0.0, np.pi)
@@ -313,11 +313,11 @@ def test_a_report_shows_parts_errors_and_modes(tmp_path: Path) -> None:
     kinegraph("motion", "train", "steering", *files, "--report", tmp_path / "m.html")
     page = (tmp_path / "m.html").read_text()
     assert page.count("<img") == 3 and "hoof_fl" in page
-    told = float(page.split("vertices are off by ")[1].split(" %")[0])
+    reported = float(page.split("vertices are off by ")[1].split(" %")[0])
     rest = [f for f in range(24) if f % 4]
     made = fit_steering(STRIDE[rest], FACES, marked(), REFERENCE, LIMBS)(STRIDE[::4, AT], 432)
     off = 100 * np.linalg.norm(made - STRIDE[::4], axis=-1).mean() / np.linalg.norm(np.ptp(STRIDE[0], axis=0))
-    assert told == pytest.approx(off, abs=0.002)
+    assert reported == pytest.approx(off, abs=0.002)
     kept = (tmp_path / "m.html").stat().st_mtime_ns
     with pytest.raises(KinegraphError, match=r"m\.html: exists"):
         cli.call(
@@ -346,9 +346,9 @@ def test_more_parts_than_colours_begin_with_the_first_colour_again(
 def test_the_change_that_no_frame_tells_is_that_beside_it(changes: Callable[[Samples], Samples], missing: int) -> None:
     assert changes(np.array([1.0])).tolist() == [0.0]
     for angles in ([1.0, 3.0], [1.0, 3.0, 4.0], [0.0, 1.0, 3.0, 6.0]):
-        told = list(np.diff(angles))
-        told.insert(missing % len(angles), told[missing])
-        assert changes(np.array(angles)).tolist() == told
+        rows = list(np.diff(angles))
+        rows.insert(missing % len(angles), rows[missing])
+        assert changes(np.array(angles)).tolist() == rows
 
 
 def test_the_command_takes_a_performer_and_says_what_is_wrong(tmp_path: Path) -> None:
@@ -467,14 +467,14 @@ def test_two_markers_that_bear_each_others_names_are_named_once_and_again_when_c
     for size in (1, 240):
         operator = SteerMesh(model=tmp_path / "m.npz")
         operator.open({"in": StreamSpec((6, 3), rate_hz=30.0, channels=NAMES, units=("m",))})
-        told = []
+        rows = []
         for begin in range(0, 240, size):
             chunk = Chunk(grid(30.0, 240)[begin : begin + size], marks[begin : begin + size].reshape(size, -1), 0)
-            told += [
+            rows += [
                 row for port, made in operator.process("in", chunk) if port == "names" for row in made.data.tolist()
             ]
-        times = [int(grid(30.0, 240).searchsorted(row[0])) for row in told]
-        assert [row[1:] for row in told] == [(what, NAMES[pair[0]], NAMES[pair[1]]) for what in ("exchanged", "cured")]
+        times = [int(grid(30.0, 240).searchsorted(row[0])) for row in rows]
+        assert [row[1:] for row in rows] == [(what, NAMES[pair[0]], NAMES[pair[1]]) for what in ("exchanged", "cured")]
         assert 30 + 9 <= times[0] < 110 and 150 < times[1] <= 181
 
 
@@ -497,8 +497,8 @@ def test_a_pair_is_held_against_all_others_and_none_is_named_where_two_are_alike
 ) -> None:
     model = ModelOfDistances({(0, 1): 0.4, (2, 3): rival})
     marks, names = np.repeat(np.arange(4.0)[:, None], 3, axis=1), ExchangedNames.empty()
-    told = [row for k in range(120) if (row := names.see(model, marks, 1.0, k))]  # type: ignore[arg-type]
-    assert [row[1:] for row in told] == ([("exchanged", *named)] if named else [])
+    rows = [row for k in range(120) if (row := names.see(model, marks, 1.0, k))]  # type: ignore[arg-type]
+    assert [row[1:] for row in rows] == ([("exchanged", *named)] if named else [])
 
 
 def test_one_frame_is_too_few_to_learn_from(tmp_path: Path) -> None:

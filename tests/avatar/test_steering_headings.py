@@ -44,5 +44,5 @@ def test_what_is_seen_of_markers_does_not_turn_with_the_body(angle: float) -> No
     marks = STRIDE[:, AT]
     seen = about(model, marks, model.facing)
     assert np.allclose(about(model, rotated(marks, angle) + np.array([3.0, 0.0, 1.0]), model.facing), seen)
-    none = about(model, marks, np.zeros(0))
-    assert np.allclose(none, marks - marks[:, model.reference].mean(axis=1, keepdims=True))
+    nothing = about(model, marks, np.zeros(0))
+    assert np.allclose(nothing, marks - marks[:, model.reference].mean(axis=1, keepdims=True))

@@ -74,8 +74,8 @@ def test_angles_and_lengths_are_those_of_table_9_1() -> None:
     assert graph.limb(3).tolist() == [0, 1, 2, 3] and graph.limb(2).tolist() == [0, 1] and not len(graph.limb(0))
     directed = MarkerGraph(np.array([0, 1]), edges, np.array([-1, 0]), np.ones(2), np.ones(2), still)
     moved = marks + np.array([[0, 0, 0], [0, 0, 0], [0, 0.2, 0], [0.0, -0.1, 0]])
-    told = directed(moved, marks).reshape(2, 2, 5)[..., 2:]
-    assert np.allclose(told, [[[0, 1, 0], [0, -1, 0]]] * 2)
+    reported = directed(moved, marks).reshape(2, 2, 5)[..., 2:]
+    assert np.allclose(reported, [[[0, 1, 0], [0, -1, 0]]] * 2)
     assert np.allclose(backward(marks), [2 * marks[0] - marks[1], marks[0]])
 
 

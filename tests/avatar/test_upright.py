@@ -58,12 +58,12 @@ def warnings_of(marks: Samples, up: str, names: tuple[str, ...] = NAMES[:13]) ->
 @pytest.mark.parametrize("up", UPS)
 @pytest.mark.parametrize("axis", [*UPS, "x"])
 def test_who_walks_along_another_axis_is_noticed_once(axis: str, up: str) -> None:
-    told = warnings_of(turned(person(0.6), axis), up)
+    reported = warnings_of(turned(person(0.6), axis), up)
     if axis == up:
-        assert not told
+        assert not reported
         return
-    assert len(told) == 1 and f"upright along {axis} of the markers, but `up` is {up}" in told[0]
-    assert (f"set `up: {axis}`" in told[0]) == (axis in UPS)
+    assert len(reported) == 1 and f"upright along {axis} of the markers, but `up` is {up}" in reported[0]
+    assert (f"set `up: {axis}`" in reported[0]) == (axis in UPS)
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
@@ -100,11 +100,11 @@ def test_a_training_of_poses_names_a_recording_of_another_axis(axis: str, tmp_pa
         for pose in poses:
             multiply(np.array([half, half, 0.0, 0.0]), pose[3:7].copy(), pose[3:7])
     write_recording(tmp_path / "walk.mcap", [Series("body", tree.spec(RATE), grid(RATE, N), poses)], {})
-    code, _, told = kinegraph(
+    code, _, output = kinegraph(
         "motion", "train", "pose", tmp_path / "walk.mcap", "-o", tmp_path / "m.npz", "--centres", "50"
     )
-    assert code == 0 and (tmp_path / "m.npz").exists(), told
-    assert ("walk: body: somebody walks upright along z; turn it: y must point up" in told) == (axis == "z"), told
+    assert code == 0 and (tmp_path / "m.npz").exists(), output
+    assert ("walk: body: somebody walks upright along z; turn it: y must point up" in output) == (axis == "z"), output
 
 
 @pytest.mark.parametrize("tilted", [False, True])
@@ -115,9 +115,9 @@ def test_a_training_of_a_mesh_whose_heading_points_up_says_so(tilted: bool, tmp_
     )
     markers = ", ".join(f"{name}: {vertex}" for name, vertex in marked().items())
     (tmp_path / "m.yaml").write_text(f"markers: {{{markers}}}\nheading: [croup, withers]\n")
-    code, _, told = kinegraph(
+    code, _, output = kinegraph(
         "motion", "train", "steering", tmp_path / "mesh.mcap", "--markers", tmp_path / "m.yaml", "-o", tmp_path / "m.npz",
         "--method", "straight",
     )  # fmt: skip
-    assert code == 0 and (tmp_path / "m.npz").exists(), told
-    assert ("mesh.mcap: the heading's markers lie above one another" in told) == tilted, told
+    assert code == 0 and (tmp_path / "m.npz").exists(), output
+    assert ("mesh.mcap: the heading's markers lie above one another" in output) == tilted, output

@@ -186,9 +186,9 @@ def test_a_standing_foot_stays_where_it_is_under_a_nearly_straight_noisy_leg(see
     smooth = euro.process("in", Chunk(grid(30.0, n), noisy, 0))
     assert smooth is not None
     rows = np.ascontiguousarray(smooth.data.reshape(n, -1))
-    told = {name: chunk.data for name, chunk in pose.process("in", Chunk(smooth.time, rows, 0))}
-    stands = told["quality"][:, len(BONES) : len(BONES) + 2] > 0
-    feet = told["joints"][:, [BONES.index("LeftFoot"), BONES.index("RightFoot")]]
+    facts = {name: chunk.data for name, chunk in pose.process("in", Chunk(smooth.time, rows, 0))}
+    stands = facts["quality"][:, len(BONES) : len(BONES) + 2] > 0
+    feet = facts["joints"][:, [BONES.index("LeftFoot"), BONES.index("RightFoot")]]
     slides = np.linalg.norm(np.diff(feet, axis=0)[..., [0, 2]], axis=-1)[stands[1:] & stands[:-1]]
     assert len(slides) > n and (slides > 0.003).mean() < 0.01
 

@@ -31,7 +31,7 @@ class Report(Outlet):
     path: str = "the report.html"
 
     def open(self, specs):
-        self.hold(None)
+        self.set_state(None)
         return {}
 
     def process(self, port, chunk):
@@ -99,7 +99,7 @@ def test_a_session_that_was_ended_by_a_service_manager_does_not_stay(graph: Path
 
 def test_the_end_without_reports_keeps_those_that_were_named() -> None:
     hub = Hub(lambda _: None)
-    hub.hear({"t": "over", "why": "the session has ended", "reports": ["/a/report.html"]}, memoryview(b""))
-    hub.hear({"t": "over", "why": "the session has ended"}, memoryview(b""))
+    hub.receive({"t": "over", "why": "the session has ended", "reports": ["/a/report.html"]}, memoryview(b""))
+    hub.receive({"t": "over", "why": "the session has ended"}, memoryview(b""))
     (reported,) = hub.news_for(Looking())
     assert decode(reported)[0]["reports"] == ["report.html"], "clients get no paths"

@@ -113,11 +113,11 @@ def night_with_reasons(root: Path) -> None:
             0.1764 if near else 0.0,
             "",
         )
-        told = [
+        lines = [
             ("seen", event(SEEN, t, t, t + STEP, "", moved, 0.95, "in", np.nan, why)),
             ("epochs", event(REASONED, t, t, t + STEP, state, 0.4, moved / 30, True, False, *reason)),
         ]
-        feed(log, iter(told))
+        feed(log, iter(lines))
     log.close()
 
 
@@ -132,20 +132,22 @@ def test_the_table_of_a_night_holds_the_reason_and_the_command_explains_it(tmp_p
         "0.1764",
         "",
     )
-    code, said, _ = kinegraph("sleep", "explain", "last", "23:11:40")
-    assert code == 0 and "awake" in said and "23:11:00" in said and "6 s of 30 s" in said and "0.176" in said, said
-    code, said, _ = kinegraph("sleep", "explain", folder.name, "23:11:40", "--json")
-    facts = json.loads(said)
+    code, output, _ = kinegraph("sleep", "explain", "last", "23:11:40")
+    assert code == 0 and "awake" in output and "23:11:00" in output and "6 s of 30 s" in output and "0.176" in output, (
+        output
+    )
+    code, output, _ = kinegraph("sleep", "explain", folder.name, "23:11:40", "--json")
+    facts = json.loads(output)
     assert (code, facts["state"], facts["cause"]) == (0, "wake", "movement")
     movement = {"onset": "2025-12-31T22:11:00Z", "activity": 0.2, "moved_s": 6.0, "bed": "in"}
     assert facts["movement"] == {**movement, "weight": 0.1764, "adds": 0.1764}
     assert facts["threshold"] == 0.3 and facts["score"] == 0.4 and facts["sentence"]
-    _, said, _ = kinegraph("sleep", "explain", "last", "2025-12-31T22:15:10Z")
-    assert "unknown" in said and "too dark" in said
-    code, _, said = kinegraph("sleep", "explain", "last", "04:00")
-    assert code == 2 and "23:00" in said and "23:20" in said, "it names what the night holds"
-    code, _, said = kinegraph("sleep", "explain", "last", "quarter to nine")
-    assert code == 2 and "23:15" in said
+    _, output, _ = kinegraph("sleep", "explain", "last", "2025-12-31T22:15:10Z")
+    assert "unknown" in output and "too dark" in output
+    code, _, output = kinegraph("sleep", "explain", "last", "04:00")
+    assert code == 2 and "23:00" in output and "23:20" in output, "it names what the night holds"
+    code, _, output = kinegraph("sleep", "explain", "last", "quarter to nine")
+    assert code == 2 and "23:15" in output
 
 
 def test_the_report_gives_the_reason_of_every_time_awake(tmp_path: Path) -> None:
@@ -176,13 +178,13 @@ def test_a_night_of_an_older_version_is_read_goes_on_and_is_explained_as_far_as_
         "the rest has the same columns"
     )
     assert len(archive.read_epochs(folder)) == night.n - night.inn
-    code, said, _ = kinegraph("sleep", "explain", "last", "23:30")
-    assert code == 0 and "before reasons were kept" in said
+    code, output, _ = kinegraph("sleep", "explain", "last", "23:30")
+    assert code == 0 and "before reasons were kept" in output
 
 
 def test_a_night_that_is_not_there(tmp_path: Path, kinegraph: Command) -> None:
     (tmp_path / "nights").mkdir()
-    code, _, said = kinegraph("sleep", "explain", "last", "23:30")
-    assert code == 2 and "there is no night" in said
+    code, _, output = kinegraph("sleep", "explain", "last", "23:30")
+    assert code == 2 and "there is no night" in output
     with pytest.raises(KinegraphError):
         archive.find(tmp_path / "nights", "last")
