@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import numpy as np
 
 from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.data.finite import finite
+from kinegraph.stream.data.inputs import Input, input_of
 from kinegraph.stream.data.require import width_of
 from kinegraph.stream.kernel import kernel
-from kinegraph.stream.operator import Input, Operator, input_of
+
+
+class HasInputs(Protocol):
+    """An operator, as far as its inputs go."""
+
+    @property
+    def inputs(self) -> Mapping[str, Input]: ...
 
 
 class Rows:
@@ -52,7 +59,7 @@ def rows_for(port: Input, spec: StreamSpec, made: dict[bool, Rows]) -> Rows | No
     return made.setdefault(asks, Rows(spec, finite=asks)) if asks or not _are_rows(spec) else None
 
 
-def taking(operator: Operator[Any], specs: Specs) -> Callable[[str, Chunk], Chunk]:
+def taking(operator: HasInputs, specs: Specs) -> Callable[[str, Chunk], Chunk]:
     """For whoever calls an operator's `process` without a graph: brings a port's chunk into the form that the operator asks for."""
     by_port = {port: rows_for(input_of(operator.inputs, port), spec, {}) for port, spec in specs.items()}
 
