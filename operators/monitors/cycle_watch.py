@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from kinegraph.operators.cycles.cycle import CLOSED, is_closed, longest_cycle_s
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
-from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
+from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarms_until
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
@@ -31,6 +32,7 @@ class CycleWatchState:
     latest, onsets (3,)   the duration and begin of the latest of all cycles
     covered         how much of the session lies in accepted cycles, ns;  on (4,): which alarms there are
     spans (11,)     of the latest cycles in ns, in turn, a ring; `walked` in all
+    gap             stamp before which input is missing, where no output has said so yet; NEVER: nothing is
     """
 
     began: int
@@ -45,6 +47,7 @@ class CycleWatchState:
     on: Times
     spans: Times
     walked: int
+    gap: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +100,16 @@ class CycleWatch(Operator[CycleWatchState]):
                 np.zeros(4, np.int64),
                 np.zeros(RECENT, np.int64),
                 0,
+                NEVER,
             ),
             decision_s={"out": silent_s} if longest_s else None,
         )
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=specs["closed"].meta)}
 
-    def process(self, port: str, chunk: Chunk) -> Chunk:
+    def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
         s = self.state
+        if chunk.lost and s.gap == NEVER:
+            s.gap = int(chunk.time[0])
         found: FoundAlarms = []
         if port == "signal":
             if len(chunk.time):
@@ -114,7 +120,12 @@ class CycleWatch(Operator[CycleWatchState]):
                 self._silence(found, stamp - 1)
                 self._cycle(found, stamp, row)
         self._silence(found, s.newest if chunk.until == FOREVER else chunk.until)
-        return alarm_chunk(found, chunk)
+        if s.gap == NEVER or s.gap > chunk.until:
+            return [("out", alarms_until(found, chunk.until))]
+        # alarms of the time before the gap are complete, whichever input brought them and when
+        early = [alarm for alarm in found if alarm[0] < s.gap]
+        before, s.gap = s.gap - 1, NEVER
+        return [("out", alarms_until(early, before)), ("out", alarms_until(found[len(early) :], chunk.until, lost=-1))]
 
     @classmethod
     def cases(cls) -> list[Case]:

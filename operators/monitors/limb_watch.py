@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -53,10 +54,17 @@ class LimbWatch(OnePerLimb[CycleWatch]):
         self.set_state(state, decision_s=parts[0].decision_s)
         return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=closed.meta)}
 
-    def process(self, port: str, chunk: Chunk) -> Chunk:
+    def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
         limbs = [part.subject for part in self.parts]
         shares = [chunk] * len(limbs) if port == "signal" else self.share(port, limbs, chunk)
-        return merged([part.process(port, share) for part, share in zip(self.parts, shares, strict=True)])
+        pieces = [[c for _, c in part.process(port, share)] for part, share in zip(self.parts, shares, strict=True)]
+        made = merged([Chunk(c.time, c.data, chunk.until) for parts in pieces for c in parts])
+        gap = min((parts[0].until + 1 for parts in pieces if len(parts) > 1), default=None)
+        if gap is None:
+            return [("out", made)]
+        k = int(np.searchsorted(made.time, gap))
+        early = Chunk(made.time[:k], made.data[:k], gap - 1)
+        return [("out", early), ("out", Chunk(made.time[k:], made.data[k:], made.until, -1))]
 
     @classmethod
     def cases(cls) -> list[Case]:

@@ -19,5 +19,10 @@ FoundAlarms: TypeAlias = list[tuple[int, tuple[int, str, str, str, str]]]
 
 def alarm_chunk(found: FoundAlarms, chunk: Chunk) -> Chunk:
     """The alarms that a chunk of an input has led to."""
+    return alarms_until(found, chunk.until, lost=-1 if chunk.lost else 0)
+
+
+def alarms_until(found: FoundAlarms, until: int, *, lost: int = 0) -> Chunk:
+    """All alarms up to `until`; `lost`: what is missing before them."""
     stamps = np.array([stamp for stamp, _ in found], np.int64)
-    return Chunk(stamps, np.array([row for _, row in found], ALARM), chunk.until, -1 if chunk.lost else 0)
+    return Chunk(stamps, np.array([row for _, row in found], ALARM), until, lost)
