@@ -39,7 +39,7 @@ def _train_pose() -> Iterator[str]:
 
 def _train_steering() -> Iterator[str]:
     from kinegraph.devices.people.quadruped import marked, topology
-    from tests.avatar.test_steering_adapt import REFERENCE, STRIDE
+    from tests.avatar.adapt_runs import REFERENCE, STRIDE
 
     write_recording(Path("mesh.mcap"), [Series("mesh", topology().spec(24.0), grid(24.0, 24), STRIDE)], {})
     text = "markers: {" + ", ".join(f"{n}: {v}" for n, v in marked().items()) + "}\n"

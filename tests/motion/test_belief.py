@@ -13,8 +13,9 @@ import pytest
 from bench.motion import kinect, poses
 from kinegraph.operators.features.stack import Stack
 from kinegraph.operators.segmentation import Segment
-from tests.motion.test_segmentation import QUICK, believed_late, motion, played
-from tests.motion.test_segmentation import gestures as from_rest
+from tests.motion.segmentation_runs import QUICK, motion, played
+from tests.motion.test_rest_and_belief import believed_late
+from tests.motion.test_rest_and_belief import gestures as from_rest
 from tests.support.real import needs_data
 
 LATE = {"13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2}

@@ -17,7 +17,7 @@ from kinegraph.operators.segmentation.kernels.layout import (
     Memory,
     allocate,
 )
-from tests.motion.test_segmentation import QUICK, played
+from tests.motion.segmentation_runs import QUICK, played
 from tests.motion.test_segmentation_kernels import FRAMES
 
 

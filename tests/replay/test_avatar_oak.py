@@ -13,7 +13,7 @@ import pytest
 import kinegraph as kg
 from kinegraph.devices.people.rendered_performer import EMPTY_S, POINTS
 from kinegraph.stream.chunk import NS
-from tests.devices.test_oak_network import HEAD, archive, config
+from tests.devices.oak_runs import HEAD, archive, config
 from tests.replay.replaying import CAMERA_HZ, performance, signal
 
 DEPTH, JOINTS = performance(6.0)
