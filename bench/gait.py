@@ -80,12 +80,12 @@ class Cycles:
     """The peaks of 20 cycles of a muscle, and how its mixture is refitted."""
 
     def __init__(self, muscle: str) -> None:
-        self.window = PeakWindow.none(CYCLES, 1)
+        self.window = PeakWindow.empty(CYCLES, 1)
         for k, curve in enumerate(walked(np.random.default_rng(1), CYCLES, muscle)):
             self.window.note_peaks(maxima(k, curve))
             self.window.accept(k, curve[:, None])
         self.slots, self.group = self.window.latest(CYCLES), np.zeros(1, np.int64)
-        self.refit = Refit.none(CYCLES, 1)
+        self.refit = Refit.empty(CYCLES, 1)
 
     def fit(self, how: Fitting) -> Mixture:
         self.refit.begin(self.window, self.slots, self.group, how)

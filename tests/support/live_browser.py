@@ -99,9 +99,9 @@ class LiveBrowser:
         return reported["result"].get("value")
 
     def _value_once_there(self, script: str) -> Any:
-        """What an expression gives; None while the page goes to another one, as from an address with a token."""
+        """What an expression gives; None while the page goes to another one, as from an address with a token, and has no body yet."""
         try:
-            return self.value(script)
+            return self.value(f"document.body && ({script})")
         except NavigatedAway:
             return None
 
