@@ -28,7 +28,7 @@ FAN_MM, FAN_HZ = 12.0, 0.4
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
+class TiltedCamera:
     """Where it hangs: to the side of the bed's middle, behind its foot edge, above the floor (m); it looks at the mattress's middle.
 
     sensor, noise  `tof`: share of 5 mm a pixel at 2 m; `stereo`: share of .08 px. correlated: how much of a pixel's noise stays from
@@ -69,7 +69,7 @@ class Stay:
 class TiltedRoom:
     """What the camera sees at any time; frames are asked for in order."""
 
-    def __init__(self, width: int, height: int, camera: Camera, stay: Stay, *, seed: int = 0) -> None:
+    def __init__(self, width: int, height: int, camera: TiltedCamera, stay: Stay, *, seed: int = 0) -> None:
         self.camera, self.stay, self._width = camera, stay, width
         self._random = np.random.default_rng([seed, 41])
         r = self._random

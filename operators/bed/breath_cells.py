@@ -26,7 +26,7 @@ EDGE_MM = 150.0
 NOISY = 6.0
 """A step of this many standard deviations of a cell's usual ones is movement."""
 FLICKER = 0.01
-"""So many cells, and one at least, may go fast where nothing moves: edges, and pixels that are measured now and then."""
+"""This share of the cells, and at least one, may jump where nothing moves: edges, and pixels that are measured now and then."""
 LEAST_CELLS = 6
 
 

@@ -14,9 +14,9 @@ WINDOW_NS = round(WINDOW_S * NS)
 """Windows are the epochs of `operators.bed.breathing.Breathing`, so that both say the same."""
 STILL_MM_S, CONFIDENT = 20.0, 0.5
 USUAL, USUAL_COUNT, FORGETS = 0.85, 10.0, 0.05
-"""Breath is usually seen where it was in this share of at least so many still windows; how fast old windows are forgotten."""
+"""Breath is usually seen where it was in this share of at least this many still windows; how fast old windows are forgotten."""
 LULL = 2
-"""Where it usually is, so many still windows in a row without it leave no evidence of a body."""
+"""Where it usually is, this many still windows in a row without it leave no evidence of a body."""
 
 
 @dataclass(slots=True)

@@ -86,7 +86,7 @@ class Cycles(Operator[CyclesState]):
     shortest_s: float = param(0.4, above=0.0, help="a shorter cycle is rejected")
     longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer cycle is rejected")
     bounce_s: float = param(
-        0.06,
+        0.05,
         least=0.0,
         help="contacts that follow a touch-down by no more are the same contact: a switch or foot that bounces",
     )

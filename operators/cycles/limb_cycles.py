@@ -60,7 +60,7 @@ class LimbCycles(_Placed):
     limbs: dict[str, str] = param(help='per limb, the pattern of its channels: {left: "L_*", right: "R_*"}')
     shortest_s: float = param(0.4, above=0.0, help="a shorter cycle is rejected")
     longest_s: float = param(4.0, above=0.0, most=60.0, help="a longer cycle is rejected")
-    bounce_s: float = param(0.06, least=0.0, help="contacts so soon after a touch-down are the same contact")
+    bounce_s: float = param(0.05, least=0.0, help="contacts so soon after a touch-down are the same contact")
     off_median: float = param(0.5, least=0.0, help="rejected beyond this part of the limb's recent median duration")
     least_stance_pct: float = param(15.0, least=0.0, most=100.0, help="rejected if the foot stands for less")
     most_stance_pct: float = param(90.0, least=0.0, most=100.0, help="rejected if the foot stands for more")

@@ -35,6 +35,17 @@ def unpack(state: Any, arrays: dict[str, Array]) -> None:
             setattr(state, name, _unpack(name, value, _hint(type(state), name), arrays))
 
 
+def _copied(array: Array) -> Array:
+    """A copy; padding between the fields of structured elements, which holds whatever memory held, is zero in it."""
+    names = array.dtype.names
+    if names is None or array.dtype.itemsize == sum(array.dtype[name].itemsize for name in names):
+        return array.copy()
+    made = np.zeros(array.shape, array.dtype)
+    for name in names:
+        made[name] = array[name]
+    return made
+
+
 def size_of(state: Any) -> int:
     """Bytes held by the arrays in `state`."""
     return sum(a.nbytes for a in pack(state).values())
@@ -50,7 +61,7 @@ def _pack(name: str, value: Any, packed: dict[str, Array]) -> None:
     if value is None:
         packed[name] = np.empty(0, np.uint8)
     elif isinstance(value, np.ndarray):
-        packed[name] = value.copy()
+        packed[name] = _copied(value)
     elif isinstance(value, list):
         packed[f"{name}[]"] = np.array(len(value))
         for i, item in enumerate(value):

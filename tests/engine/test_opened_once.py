@@ -73,6 +73,13 @@ def openings(monkeypatch: pytest.MonkeyPatch) -> Iterator[Openings]:
     yield Openings()
 
 
+def identical(a: Any, b: Any) -> bool:
+    """Whether two arrays hold the same bits; what lies between the fields of a structured one does not count."""
+    if a.dtype != b.dtype:
+        return False
+    return all(a[n].tobytes() == b[n].tobytes() for n in a.dtype.names) if a.dtype.names else a.tobytes() == b.tobytes()
+
+
 @pytest.mark.parametrize("path", CONFIGS, ids=[path.stem for path in CONFIGS])
 def test_a_shipped_graphs_nodes_are_opened_once_and_put_back_after_they_were_tried(
     path: Path, openings: Openings, monkeypatch: pytest.MonkeyPatch
@@ -89,9 +96,7 @@ def test_a_shipped_graphs_nodes_are_opened_once_and_put_back_after_they_were_tri
         assert openings.of(stage.node, graph) == alike(stage.node, graph), name
         after = stage.operator.snapshot()
         assert after.keys() == before[name].keys()
-        assert all(
-            a.tobytes() == before[name][k].tobytes() and a.dtype == before[name][k].dtype for k, a in after.items()
-        )
+        assert all(identical(a, before[name][k]) for k, a in after.items())
 
 
 GIVEN: list[float] = []

@@ -243,7 +243,7 @@ def test_points_go_out_by_their_names_and_what_is_unknown_does_not(receiver: soc
     for parameters in ({"address": "markers"}, {"address": "/a b"}):
         with pytest.raises(ParameterError, match="address"):
             OscPoints(**parameters).open({"in": StreamSpec((3, 3))})
-    with pytest.raises(KinegraphError, match="names differ"):
+    with pytest.raises(KinegraphError, match="names that differ"):
         OscPoints().open({"in": StreamSpec((2, 3), channels=("a b", "a_b"))})
 
 

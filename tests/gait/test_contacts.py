@@ -20,6 +20,8 @@ from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.graph.components import catalogue
 from kinegraph.stream.params import build
 from tests.gait.contact_runs import START, cycles_of, feed, onsets
+from tests.gait.contact_runs import recordings as recordings
+from tests.gait.contact_runs import walks as walks
 from tests.support.real import needs_data
 
 MARKERS = StreamSpec((2, 3), rate_hz=100.0, channels=("HIP", "ANK"), units=("m",))

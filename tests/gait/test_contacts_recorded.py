@@ -19,6 +19,8 @@ from kinegraph.operators.contacts.marker import MarkerContacts
 from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec
 from kinegraph.stream.errors import ParameterError
 from tests.gait.contact_runs import START, cycles_of, feed, onsets
+from tests.gait.contact_runs import recordings as recordings
+from tests.gait.contact_runs import walks as walks
 from tests.support.real import needs_data
 
 

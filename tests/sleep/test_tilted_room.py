@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.devices.people.tilted_room import Camera, Stay, TiltedRoom
+from kinegraph.devices.people.tilted_room import TiltedCamera, Stay, TiltedRoom
 from kinegraph.operators.bed.breathing import Breathing
 from kinegraph.operators.bed.presence import Presence
 from kinegraph.stream.chunk import NS
@@ -26,20 +26,20 @@ from tests.sleep.tilted_night import HEIGHT, START, WIDTH, blocks_of, inputs
 def test_the_rate_is_found_by_either_sensor_from_6_to_45_per_minute(
     sensor: str, lift_mm: float, per_min: float, fps: float
 ) -> None:
-    room = TiltedRoom(WIDTH, HEIGHT, Camera(sensor=sensor), Stay(0, 1e9, per_min, lift_mm), seed=3)  # type: ignore[arg-type]
+    room = TiltedRoom(WIDTH, HEIGHT, TiltedCamera(sensor=sensor), Stay(0, 1e9, per_min, lift_mm), seed=3)  # type: ignore[arg-type]
     made = play(Breathing(), **inputs(room, 90, fps))["out"]
     assert (abs(made["rate"] - per_min) < 0.5).all(), made["rate"]
 
 
 @pytest.mark.parametrize("sensor", ["tof", "stereo"])
 def test_an_empty_bed_does_not_breathe(sensor: str) -> None:
-    room = TiltedRoom(WIDTH, HEIGHT, Camera(sensor=sensor, correlated=0.6), Stay(), seed=4)  # type: ignore[arg-type]
+    room = TiltedRoom(WIDTH, HEIGHT, TiltedCamera(sensor=sensor, correlated=0.6), Stay(), seed=4)  # type: ignore[arg-type]
     assert np.isnan(play(Breathing(), **inputs(room, 120, 4.0))["out"]["rate"]).all()
 
 
 def states(stay: Stay, seconds: float, **camera: object) -> list[tuple[str, int, str]]:
     """What presence reports of a scene: state, since when (s), why."""
-    room = TiltedRoom(WIDTH, HEIGHT, Camera(**camera), stay, seed=5)  # type: ignore[arg-type]
+    room = TiltedRoom(WIDTH, HEIGHT, TiltedCamera(**camera), stay, seed=5)  # type: ignore[arg-type]
     made = play(Presence(), **inputs(room, seconds, 2.5))["out"]
     return [(str(e["state"]), round((int(e["onset"]) - START) / NS), str(e["why"])) for e in made]
 
@@ -71,7 +71,7 @@ def test_missing_pixels_that_jump_do_not_shake_the_blocks_of_a_tilted_bed() -> N
     """The mean of what is measured of a tilted block depends on which pixels are missing: by 2.3 mm here."""
     spread = []
     for jump in (0.0, 0.15):
-        room = TiltedRoom(320, 240, Camera(jump=jump), Stay(), seed=3)
+        room = TiltedRoom(320, 240, TiltedCamera(jump=jump), Stay(), seed=3)
         row, column, rows, columns = (v // 8 for v in room.rectangle())
         bed = blocks_of(room, 8, 5.0)[:, row + 1 : row + rows - 1, column + 2 : column + columns - 2]
         steps = np.diff(bed[:, np.isfinite(bed).all(axis=0)], axis=0)
