@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.devices.people.tilted_room import TiltedCamera, Stay, TiltedRoom
+from kinegraph.devices.people.tilted_room import Stay, TiltedCamera, TiltedRoom
 from kinegraph.operators.bed.breathing import Breathing
 from kinegraph.operators.bed.presence import Presence
 from kinegraph.stream.chunk import NS
