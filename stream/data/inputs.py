@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from kinegraph.stream.errors import KinegraphError
+
 ANY = "*"
 """In `Operator.inputs`, in the place of a name: any number of inputs."""
 
@@ -34,4 +36,6 @@ class Input:
 
 def input_of(inputs: Mapping[str, Input], port: str) -> Input:
     """The declaration of a port, also of one that was named after what it is connected to."""
+    if not isinstance(inputs, Mapping):
+        raise KinegraphError(f"inputs is {inputs!r}; it must be a mapping of names to Input(), as in {{'in': Input()}}")
     return inputs[port] if port in inputs else inputs[ANY]

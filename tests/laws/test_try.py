@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinegraph.stream.chunk import Chunk, StreamSpec
-from kinegraph.stream.operator import Case, Operator, grid
+from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 
@@ -57,6 +57,15 @@ def test_a_sound_operator_passes(tmp_path: Path) -> None:
     assert "case 1 of 1: every law held, 10 random tries" in found.stdout
 
 
+def test_inputs_that_are_no_mapping_are_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "my_ops.py").write_text(
+        OPERATOR.replace("BODY", "x").replace("    factor: float", '    inputs = ("in",)\n    factor: float')
+    )
+    found = attempt(tmp_path, "my_ops.Gain")
+    assert found.returncode != 0 and "it must be a mapping of names to Input()" in found.stderr, found.stderr
+    assert "Traceback" not in found.stderr
+
+
 def test_inputs_of_several_rates_are_no_fault_of_the_operator(tmp_path: Path) -> None:
     """Where the case is played again, a stream that is over earlier begins after a gap; it must say so."""
     text = OPERATOR.replace("BODY", "x * self.factor").replace(
@@ -64,7 +73,7 @@ def test_inputs_of_several_rates_are_no_fault_of_the_operator(tmp_path: Path) ->
         self.set_state(None)
         return {"out": specs["in"]}
 """,
-        """    inputs = ("in", "slow")
+        """    inputs = {"in": Input(), "slow": Input()}
 
     def open(self, specs):
         self.set_state(None)

@@ -307,7 +307,7 @@ def test_a_model_survives_the_disk_and_a_spoilt_one_is_refused(graph: MotionGrap
     late[~graph.natural] = len(zero) - 1
     for changed, complaint in (
         ({"target": far}, "a node that is not there"),
-        ({"poses": zero}, "rotations that are none"),
+        ({"poses": zero}, "quaternions of another length than 1"),
         ({"leave": late}, "frames that are not there"),
         ({"last": np.array(model.arrays["first"])}, "outside"),
     ):
