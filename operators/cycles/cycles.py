@@ -209,7 +209,7 @@ class Cycles(Operator[CyclesState]):
         b = min(s.recent.after(end) + LOOK_AHEAD, s.recent.fill)
         time, data = s.recent.time[a:b], s.recent.data[a:b]
         curve = np.full((POINTS + 2, data.shape[1]), np.nan)
-        lifts = s.contacts.lifts_between(onset + self._bounce_ns, end)
+        lifts = s.contacts.lifts_between(onset + self._bounce_ns, end) or s.contacts.lifts_between(onset, end)
         stance = (max(lifts) - onset) / duration * 100 if lifts else np.nan
         rejected = self._plausible(duration, lifts, stance, self._complete(time, onset, end, stamp))
         if not rejected:

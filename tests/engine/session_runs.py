@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+
+import parts
+import pytest
 
 from kinegraph.stream.engine.session import Session
 from kinegraph.stream.engine.status import Outcome
@@ -11,6 +15,15 @@ from kinegraph.stream.recording import Recording
 from tests.support import SUPPORT
 
 opened: list[Recording] = []
+
+
+@pytest.fixture(autouse=True)
+def clean() -> Iterator[None]:
+    parts.seen.clear()
+    parts.openings.clear()
+    yield
+    while opened:
+        opened.pop().close()
 
 
 def recorded(folder: Path) -> Recording:

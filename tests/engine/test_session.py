@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import parts
@@ -16,17 +15,8 @@ from kinegraph.stream.engine import session_log
 from kinegraph.stream.errors import DeviceError, GraphError, RecordingError
 from kinegraph.stream.recording.format.checkpoint import NAME as CHECKPOINT
 from kinegraph.stream.source import Feed
-from tests.engine.session_runs import opened, recorded, run, session_of
-
-
-@pytest.fixture(autouse=True)
-def _clean() -> Iterator[None]:
-    parts.seen.clear()
-    parts.openings.clear()
-    yield
-    while opened:
-        opened.pop().close()
-
+from tests.engine.session_runs import clean as clean
+from tests.engine.session_runs import recorded, run, session_of
 
 CHAIN = """
   board: {use: parts.Counting, samples: 5000, chunk: 7 %s}

@@ -20,6 +20,7 @@ from kinegraph.stream.engine.pipeline import Pipeline
 from kinegraph.stream.errors import RunError
 from kinegraph.stream.graph import Graph
 from kinegraph.stream.graph.reading.load import load_text
+from tests.engine.session_runs import clean as clean
 from tests.engine.session_runs import recorded, run, session_of
 from tests.support import SUPPORT
 
