@@ -149,7 +149,7 @@ def test_pauses_between_the_records_of_an_edf_file_are_gaps(kind: bytes, tmp_pat
     signals = found["signals"]
     assert signals.lost is not None and signals.lost[500] == 400 and len(signals.data) == 1200
     assert (signals.time[500] - signals.time[499]) / NS == pytest.approx(4.01)
-    assert ("continuous, but" in "".join(findings.doubts)) == (kind == b"EDF+C")
+    assert ("declared continuous, but" in "".join(findings.doubts)) == (kind == b"EDF+C")
 
 
 # XDF -----------------------------------------------------------------------------------------------------------------

@@ -101,7 +101,7 @@ class EdfFile:
         return self.fields["reserved"][3:4] == "+"
 
     @property
-    def is_said_continuous(self) -> bool:
+    def is_declared_continuous(self) -> bool:
         return self.fields["reserved"][4:5] != "D"
 
     def doubt(self, words: str) -> None:

@@ -66,16 +66,16 @@ def _pauses(file: EdfFile, made: Understood) -> Array | None:
         )
     longest = float(pauses.max()) / NS
     count = int((pauses > 0).sum())
-    if file.is_said_continuous:
+    if file.is_declared_continuous:
         made.doubt(
-            f"it says that it is continuous, but the times of its records leave {count} pauses (up to {longest:g} s): they are kept"
+            f"it is declared continuous, but the times of its records leave {count} pauses (up to {longest:g} s): they are kept"
         )
     return np.concatenate([[0], pauses])
 
 
 def _begun(file: EdfFile, made: Understood) -> datetime | None:
     """When the first record began, by the clock on the wall."""
-    day, _, clock = file.fields["date"], "", file.fields["time"]
+    day, clock = file.fields["date"], file.fields["time"]
     try:
         moment = datetime.strptime(f"{day} {clock}".replace(":", ".").replace("-", "."), "%d.%m.%y %H.%M.%S")
     except ValueError:
@@ -108,7 +108,7 @@ def _signals(
         data = np.stack([signal.samples.reshape(-1) for signal in mine], axis=1)
         labels = [signal.label for signal in mine]
         if len(set(labels)) < len(labels):
-            made.doubt("labels stand there more than once; the later ones are numbered")
+            made.doubt("labels occur more than once; the later ones are numbered")
         lost = None
         if pauses is not None:
             lost = np.zeros(len(data), np.int64)
