@@ -20,7 +20,7 @@ session: {subject: S01, speed: 1.2}
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a graph and two recordings of its source."""
     folder = tmp_path_factory.mktemp("batch")
     (folder / "graph.yaml").write_text(GRAPH)
@@ -31,12 +31,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The current folder, with the graph, and the recordings under their names."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "graph.yaml").write_text(GRAPH)
     for name in ("s1", "s2"):
-        (tmp_path / name).symlink_to(made / name, target_is_directory=True)
+        (tmp_path / name).symlink_to(recordings / name, target_is_directory=True)
     return tmp_path
 
 

@@ -33,6 +33,7 @@ from kinegraph.stream.recording.series import write_recording
 from kinegraph.stream.system.memory_limit import ceiling
 from tests.study.batch_runs import GRAPH, common, out_with
 from tests.study.batch_runs import folder as folder
+from tests.study.batch_runs import recordings as recordings
 from tests.support.command_line import KINEGRAPH, Command, kinegraph, refused
 
 __all__ = ["kinegraph"]

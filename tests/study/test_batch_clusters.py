@@ -22,6 +22,7 @@ from kinegraph.stream.batch.jobs import Job
 from kinegraph.stream.batch.work import Common, do
 from tests.study.batch_runs import GRAPH, common, out_with
 from tests.study.batch_runs import folder as folder
+from tests.study.batch_runs import recordings as recordings
 from tests.support.command_line import KINEGRAPH, Command, refused
 from tests.support.tiers import rest_nightly
 
