@@ -14,7 +14,7 @@ from kinegraph.devices.lsl.clock import SenderClock, zero_ns
 from kinegraph.devices.lsl.connection import Connection
 from kinegraph.devices.lsl.find import is_there
 from kinegraph.devices.lsl.stamps import LslStamps, Mapped
-from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.source import Feed
 
@@ -30,6 +30,8 @@ WRONG = 0.01
 """By more than this no sender's clock is off that stamps its own samples."""
 QUICKEST_S = 0.05
 """LSL does not find an outlet again within less."""
+MAX_STAMP_S = 2.0**61 / NS
+"""Beyond 73 years, no differences of stamps fit into 64 bits."""
 
 log = structlog.get_logger(__name__)
 
@@ -119,11 +121,11 @@ class Pull:
         arrival = self._feed.now()
         mapped = self._stamps.map(stamps, arrival, after_pause=reconnected)
         times, gaps = mapped.time, mapped.gaps
-        samples = self._events(mapped, data) if self._spec.is_event else data.astype(np.float64)
+        samples = self._events(mapped, data) if self._spec.is_event else _numbers(data)
         self._count += len(times)
         self._timing.append((self._count - 1, _ns(stamps.item(-1)), arrival, times.item(-1)))
         if self._rate is not None and not reconnected:
-            self._rate.see(len(stamps), 0, arrival, self._feed, np.round(np.nan_to_num(stamps) * NS).astype(np.int64))
+            self._rate.see(len(stamps), 0, arrival, self._feed, _device_times(stamps))
         if gaps or mapped.backwards or mapped.impossible:
             self._count_problems(mapped)
         if not gaps:
@@ -186,6 +188,17 @@ class Pull:
             if correction is not None:
                 self._correct(correction)
         self._told_clock.tell()
+
+
+def _numbers(data: Array) -> Samples:
+    """As float64; bits of a float32 that some processors signal for are NaN like others."""
+    with np.errstate(invalid="ignore"):
+        return data.astype(np.float64)
+
+
+def _device_times(stamps: Samples) -> Times:
+    """Stamps (n,) in s as nanoseconds; ones that no clock shows become the first or last that differences of can be written in 64 bits."""
+    return np.round(np.clip(np.nan_to_num(stamps), -MAX_STAMP_S, MAX_STAMP_S) * NS).astype(np.int64)
 
 
 def _ns(seconds: float) -> int:

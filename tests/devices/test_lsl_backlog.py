@@ -84,3 +84,23 @@ def test_a_backlog_is_gone_after_the_reads_that_it_fills(
     )
     assert reads[:full].sum() >= backlog
     assert len(waits) <= unmeasured, "nothing but the comparison of the clocks is waited for, and that once"
+
+
+class Garbled(Scripted):
+    """Some stamps and samples of the fifth read are bits that no clock and no amplifier gives."""
+
+    def pull(self) -> tuple[Array, Samples]:
+        data, stamps = super().pull()
+        if len(self.emitted_before) == 5:
+            stamps[:4] = [1e300, -1e300, np.inf, np.nan]
+            data[4] = np.array([0x7F800001], np.uint32).view(np.float32)  # a NaN that processors signal for
+        return data, stamps
+
+
+def test_impossible_stamps_and_signalling_nans_do_not_end_the_reading() -> None:
+    feed = Kept()
+    connection = Garbled(feed, 10, 10, 0)
+    Pull(connection, Scripted.described.spec, feed, 0.5, 0.0, 5.0).run()  # type: ignore[arg-type]
+    assert feed.count("out") == 100 and feed.problems["impossible stamp"] == 4
+    assert np.flatnonzero(np.isnan(feed.data("out")[:, 0])).tolist() == [44]
+    assert (np.diff(feed.time("out")) >= 0).all()
