@@ -39,7 +39,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [0.0]
     monkeypatch.setattr(renderer.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(renderer.subprocess, "Popen", Failing)
-    monkeypatch.setattr(renderer.os, "setpriority", lambda *_: None)
+    monkeypatch.setattr(renderer, "yield_processor", lambda _: None)
     Failing.started, Failing.well = 0, False
     return now
 

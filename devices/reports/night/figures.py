@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import re
 from datetime import timedelta
 from textwrap import wrap
 from typing import Any
@@ -19,23 +18,17 @@ from matplotlib.patches import Patch
 from kinegraph.devices.reports.night.archive import Facts, LoggedEpochs, clock, night_zone
 from kinegraph.devices.reports.night.numbers import CAVEATS, NO_NUMBERS, ReportRow, exits, runs, span, unseen
 from kinegraph.stream.chunk import NS, Array, Samples
+from kinegraph.stream.text import report
 
-INK, SLEEP, WAKE, OUT, GONE, DOT = "#12395b", "#2f6690", "#d98a29", "#7a7a7a", "#e3e0d9", "#2f7d4f"
+INK, SLEEP, WAKE, OUT, GONE, DOT = report.INK, "#2f6690", "#d98a29", "#7a7a7a", "#e3e0d9", "#2f7d4f"
 LEVELS = {"out": 2.0, "wake": 1.0, "sleep": 0.0}
 A4_IN = (8.27, 11.69)
 LOWEST = 0.094
 """Below this, as a share of the page's height, stand the words that belong to every report."""
 STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "kinegraph",
-    "font.family": "sans-serif",
+    **report.STYLE,
     "font.size": 7.5,
-    "axes.linewidth": 0.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
     "axes.labelsize": 7.5,
-    "xtick.major.width": 0.5,
-    "ytick.major.width": 0.5,
     "xtick.major.size": 2.5,
     "ytick.major.size": 2.5,
     "hatch.linewidth": 0.4,
@@ -47,7 +40,7 @@ def night_svg(facts: Facts, epochs: LoggedEpochs) -> str:
     with rc_context(STYLE):
         figure = Figure(figsize=(7.2, 5.0))
         _three(figure, facts, epochs, (0.09, 0.06, 0.88, 0.89))
-        return _svg(figure, "Hypnogram, activity and breathing over the night")
+        return report.svg(figure, "Hypnogram, activity and breathing over the night")
 
 
 def map_svg(motion: Samples) -> str:
@@ -56,7 +49,7 @@ def map_svg(motion: Samples) -> str:
         width, across = 0.8, 2.8  # as wide as on the page, so that its numbers are as large as they say
         figure = Figure(figsize=(across, across * width * motion.shape[0] / motion.shape[1] + 0.1))
         _map(figure, figure.add_axes((0.0, 0.02, width, 0.96)), motion)
-        return _svg(figure, "Where in the picture it moved during the night")
+        return report.svg(figure, "Where in the picture it moved during the night")
 
 
 def page_png(
@@ -231,13 +224,3 @@ def days(time: Array, facts: Facts) -> Array:
     """Times as matplotlib counts days, on the wall clock of the night's beginning (so that no hour is drawn twice)."""
     shift = night_zone(facts).utcoffset(None) or timedelta()
     return (np.asarray(time, np.int64) + int(shift.total_seconds()) * NS) / (86_400 * NS)
-
-
-def _svg(figure: Figure, label: str) -> str:
-    file = io.StringIO()
-    figure.savefig(file, format="svg", dpi=220, metadata={"Date": None, "Creator": None})
-    text = file.getvalue()
-    text = text[text.index("<svg") :]
-    return re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL).replace(
-        "<svg ", f'<svg role="img" aria-label="{label}" ', 1
-    )

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from kinegraph.devices.reports.night import archive
 from kinegraph.devices.reports.night.archive import Facts, LoggedEpochs, clock, night_zone, zone_of
@@ -17,7 +19,9 @@ from kinegraph.devices.reports.night.summary import headline, sentence, wakings
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import write_complete
-from kinegraph.stream.text.time_text import now
+from kinegraph.stream.text import report
+
+T = TypeVar("T")
 
 
 def draw(folder: Path) -> Path:
@@ -34,9 +38,9 @@ def draw(folder: Path) -> Path:
     rows = table(facts, epochs)
     page, picture, edf = (folder / name for name in archive.DRAWN)
     failed: dict[str, str] = {}
-    _attempt(picture, failed, lambda: write_complete(picture, _picture(facts, epochs, motion, rows)))
-    _attempt(edf, failed, lambda: write_edf(edf, facts, epochs))
-    _attempt(page, failed, lambda: write_complete(page, render(facts, epochs, motion, rows, failed).encode()))
+    _attempt(picture.name, failed, lambda: write_complete(picture, _picture(facts, epochs, motion, rows)))
+    _attempt(edf.name, failed, lambda: write_edf(edf, facts, epochs))
+    _attempt(page.name, failed, lambda: write_complete(page, render(facts, epochs, motion, rows, failed).encode()))
     if failed:
         why = "; ".join(f"{name}: {reason}" for name, reason in failed.items())
         made = ", ".join(path.name for path in (page, picture, edf) if path.name not in failed)
@@ -46,14 +50,13 @@ def draw(folder: Path) -> Path:
     return page
 
 
-def _attempt(product: Path, failed: dict[str, str], make: Callable[[], None]) -> None:
+def _attempt(product: str, failed: dict[str, str], make: Callable[[], T]) -> T | None:
     """Make one product; whatever goes wrong with it is kept in `failed`, and ends nothing else."""
     try:
-        make()
+        return make()
     except Exception as error:  # noqa: BLE001  (a fault of one product, a library's too, must leave the others; it is named)
-        failed[product.name] = (
-            f"{type(error).__name__}: {error}" if not isinstance(error, KinegraphError) else str(error)
-        )
+        failed[product] = str(error) if isinstance(error, KinegraphError) else f"{type(error).__name__}: {error}"
+        return None
 
 
 def render(
@@ -64,14 +67,11 @@ def render(
     failed: dict[str, str] | None = None,
 ) -> str:
     """The page's HTML; figures that cannot be drawn are named where they would stand, and added to `failed`."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
-    )
-    return environment.get_template("page.html.j2").render(
+    return report.render(
+        Path(__file__).with_name("page.html.j2"),
+        title(facts),
         f=facts,
-        title=title(facts),
+        versions=facts.versions,
         sentence=sentence(facts, epochs),
         headline=headline(facts),
         line=line(facts, epochs),
@@ -83,7 +83,6 @@ def render(
         no_numbers=NO_NUMBERS[facts.closed],
         method=_method(facts),
         **_figures(facts, epochs, motion, {} if failed is None else failed),
-        made=now(),
         epochs=archive.EPOCHS,
         edf=archive.DRAWN[2],
         failed=failed or {},
@@ -94,18 +93,9 @@ def _figures(facts: Facts, epochs: LoggedEpochs, motion: Samples | None, failed:
     """The figures of the page as SVG, each by itself, or ""."""
     from kinegraph.devices.reports.night import figures
 
-    made = {"night": "", "map": ""}
-
-    def night() -> None:
-        made["night"] = figures.night_svg(facts, epochs)
-
-    def of_motion(motion: Samples) -> None:
-        made["map"] = figures.map_svg(motion)
-
-    _attempt(Path("hypnogram in report.html"), failed, night)
-    if motion is not None:
-        _attempt(Path("motion map in report.html"), failed, lambda: of_motion(motion))
-    return made
+    night = _attempt("hypnogram in report.html", failed, lambda: figures.night_svg(facts, epochs))
+    where = None if motion is None else _attempt("motion map in report.html", failed, partial(figures.map_svg, motion))
+    return {"night": night or "", "map": where or ""}
 
 
 HEADLINE = ("Total sleep", "Sleep efficiency", "Sleep onset", "Wake after", "Bed exits")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import time
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import structlog
 
 from kinegraph.stream.errors import DeviceError
-from kinegraph.stream.system.subprocesses import child
+from kinegraph.stream.system.subprocesses import child, complaint, yield_processor
 
 SETTLE_S, LONGEST_S = 1.0, 300.0
 AGAIN_S = (60.0, 300.0, 1800.0, 7200.0)
@@ -42,10 +41,10 @@ class ReportRenderer:
             if process.poll() is None:
                 return
             self._at_work = None
-            complaint = _complaint(process)
-            if complaint and folder.is_dir():
-                self._again(folder, complaint)
-            elif not complaint:
+            why = complaint(process)
+            if why and folder.is_dir():
+                self._again(folder, why)
+            elif not why:
                 _written(folder)
         for folder, when in self._due.items():
             if time.monotonic() >= when:
@@ -71,12 +70,12 @@ class ReportRenderer:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-            complaint = _complaint(process)
-            if not complaint:
+            why = complaint(process)
+            if not why:
                 _written(folder)
             elif folder.is_dir():
                 again = f"try `kinegraph sleep nights report {folder.name} --path {folder.parent}`"
-                failed.append(f"the report of {folder} is not whole ({complaint}): {again}")
+                failed.append(f"the report of {folder} is not whole ({why}): {again}")
         if failed:
             raise DeviceError("\n".join(failed))
 
@@ -91,10 +90,7 @@ class ReportRenderer:
             self._again(folder, str(error))
             return
         self._at_work = process, folder
-        try:
-            os.setpriority(os.PRIO_PROCESS, process.pid, 10)
-        except (OSError, AttributeError):
-            log.debug("report drawn at normal priority")
+        yield_processor(process)
 
     def _again(self, folder: Path, why: str) -> None:
         """A report has failed: once more after a while, or not before the end; the first failure and the last are reported."""
@@ -106,14 +102,6 @@ class ReportRenderer:
         self._due[folder] = time.monotonic() + AGAIN_S[failures - 1]
         if failures == 1:
             log.error("report incomplete; it is tried again a few times", night=folder.name, why=why)
-
-
-def _complaint(process: subprocess.Popen[bytes]) -> str:
-    """What the process that has ended says went wrong; "": nothing."""
-    lines = process.stderr.read().decode(errors="replace").strip().splitlines()[-1:] if process.stderr else []
-    if process.stderr:
-        process.stderr.close()
-    return (lines[0] if lines else "no reason given") if process.returncode else ""
 
 
 def _written(folder: Path) -> None:

@@ -25,7 +25,8 @@ from kinegraph.devices.reports.night.weeks import (
 )
 from kinegraph.stream.data.csv_writer import sheet_text
 from kinegraph.stream.system.atomic_file import write_complete
-from kinegraph.stream.text.time_text import hour_of_day, in_hours, now
+from kinegraph.stream.text import report
+from kinegraph.stream.text.time_text import hour_of_day, in_hours
 
 Period = tuple[date, date]
 WIDE, HIGH, LEFT = 720, 9, 96
@@ -86,24 +87,19 @@ def page(
     months: bool,
 ) -> str:
     """The page's HTML; one file that needs nothing else."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
-    )
     spans = by_weeks(of, months)
     found = [(name, part_trend(of, free, first, last)) for name, first, last in spans]
-    return environment.get_template("weeks.html.j2").render(
-        title=_title(of),
+    return report.render(
+        Path(__file__).with_name("weeks.html.j2"),
+        _title(of),
         whole=words(trend(of, free)),
-        trends=[(name, cells(t)) for name, t in found],
+        trends=[(name, *cells(t)) for name, t in found],
         heads=HEADS,
         days=_days(of),
         left=LEFT, wide=WIDE, high=HIGH,
         periods=[f"{a:%d.%m.%Y} to {b:%d.%m.%Y}" for a, b in periods],
         differences=[_written(d) for d in differences],
         caveats=CAVEATS,
-        made=now(),
     )  # fmt: skip
 
 

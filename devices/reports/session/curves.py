@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import io
-import re
-from html import escape
 from itertools import cycle, pairwise
-from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -17,6 +14,7 @@ from matplotlib.transforms import blended_transform_factory
 
 from kinegraph.devices.reports.session.contents.data import Curves, LimbPanel
 from kinegraph.stream.chunk import Samples
+from kinegraph.stream.text.report import COLOURS, INK, STYLE, svg
 
 SIZES_IN = {4: (3.55, 1.9), 12: (2.36, 1.42), 10_000: (2.36, 1.18)}
 """At most how many panels have which width and height, so that more than twelve still fit on one A4 page."""
@@ -25,31 +23,15 @@ LONG = 4
 SINGLE = 40
 POINTS = 100
 """At most this many single cycles are drawn."""
-INK, BAND, THIN, STANCE, NORM = "#12395b", "#8fb3d3", "#9a9a9a", "#f1efe9", "#2f7d4f"
+BAND, THIN, STANCE, NORM = "#8fb3d3", "#9a9a9a", "#f1efe9", "#2f7d4f"
 
-_STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "kinegraph",
-    "font.family": "sans-serif",
-    "font.size": 6.5,
-    "axes.linewidth": 0.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "xtick.major.width": 0.5,
-    "ytick.major.width": 0.5,
-    "xtick.major.size": 2.0,
-    "ytick.major.size": 2.0,
-}
+LIMBS = ("#b25b00", INK, "#2f7d4f", "#7a3b8f")
 
 
-LIMBS = ("#b25b00", "#12395b", "#2f7d4f", "#7a3b8f")
-STAGES = ("#12395b", "#b25b00", "#2f7d4f", "#a3211b", "#7a3b8f", "#55534e", "#0b7d8f", "#8f6b0b")
-
-
-def draw_limbs(curves: Curves, panels: list[LimbPanel], unit: str) -> list[str]:
+def draw_limbs(curves: Curves, panels: list[LimbPanel], unit: str) -> list[Markup]:
     """One SVG element per muscle: the limbs' mean curves over one another, each with its band of one standard deviation."""
     size = next(size for most, size in SIZES_IN.items() if len(panels) <= most)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         made = []
         for panel in panels:
             figure, axes = _empty_panel(size)
@@ -60,32 +42,32 @@ def draw_limbs(curves: Curves, panels: list[LimbPanel], unit: str) -> list[str]:
                 ends += [np.nan_to_num(mean + sd).max(), np.nan_to_num(_lower(mean, sd)).min()]
             ends += [end for channel in panel.channels for end in _norm(axes, curves, channel)]
             _finish(axes, figure, ends, unit)
-            made.append(_svg(figure, f"{panel.name}, {' and '.join(panel.limbs)}"))
+            made.append(svg(figure, f"{panel.name}, {' and '.join(panel.limbs)}"))
         return made
 
 
-def draw_stages(curves: Curves, names: list[str], stages: list[str], unit: str) -> list[str]:
+def draw_stages(curves: Curves, names: list[str], stages: list[str], unit: str) -> list[Markup]:
     """One SVG element per channel: the mean curve of each stage."""
     size = next(size for most, size in SIZES_IN.items() if len(names) <= most)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         made = []
         for i, name in enumerate(names):
             figure, axes = _empty_panel(size)
             for k, stage in enumerate(stages):
-                _band(axes, curves.stages[k, :, i], None, STAGES[k % len(STAGES)], stage)
+                _band(axes, curves.stages[k, :, i], None, COLOURS[k % len(COLOURS)], stage)
             _finish(axes, figure, np.nan_to_num(curves.stages[:, :, i]).ravel().tolist(), unit)
-            made.append(_svg(figure, f"{name} by stage"))
+            made.append(svg(figure, f"{name} by stage"))
         return made
 
 
-def draw_modes(curves: Curves, names: list[str], modes: list[list[list[float]]], unit: str) -> list[str]:
+def draw_modes(curves: Curves, names: list[str], modes: list[list[list[float]]], unit: str) -> list[Markup]:
     """One SVG element per channel: the mean curve from -50 to 150 % of the cycle, and the modes of its peaks as ellipses of two deviations.
 
     modes   per channel, each mode's place, height, their deviations, correlation, weight
     """
     size = next(size for most, size in SIZES_IN.items() if len(names) <= most)
     percent = np.arange(-50, 150)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         made = []
         for i, (name, own) in enumerate(zip(names, modes, strict=True)):
             figure, axes = _empty_panel(size)
@@ -103,7 +85,7 @@ def draw_modes(curves: Curves, names: list[str], modes: list[list[list[float]]],
             _finish(axes, figure, tops, unit)
             axes.set_xlim(-50, 150)
             axes.set_xticks([-50, 0, 50, 100, 150])
-            made.append(_svg(figure, f"{name} modes"))
+            made.append(svg(figure, f"{name} modes"))
         return made
 
 
@@ -116,9 +98,9 @@ def _ellipse(
     return place + 2 * sd_place * np.cos(turn), height + 2 * sd_height * up
 
 
-def draw_footfalls(footfalls: list[tuple[str, float, float]]) -> str:
+def draw_footfalls(footfalls: list[tuple[str, float, float]]) -> Markup:
     """The footfall diagram: when in the stride each limb stands, on the mean."""
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         height = 0.45 + 0.2 * len(footfalls)
         figure = Figure(figsize=(4.6, height))
         axes = figure.add_axes((0.16, 0.38 / height, 0.82, 0.98 - 0.38 / height))
@@ -129,14 +111,14 @@ def draw_footfalls(footfalls: list[tuple[str, float, float]]) -> str:
         axes.set_yticks(range(len(footfalls)), [limb for limb, *_ in reversed(footfalls)])
         axes.set_xlim(0, 100)
         axes.set_xlabel("% of the reference limb's stride")
-        return _svg(figure, "footfall diagram")
+        return svg(figure, "footfall diagram")
 
 
-def draw_active(active: Samples, names: list[str]) -> str:
+def draw_active(active: Samples, names: list[str]) -> Markup:
     """Bars: a row per muscle, as dark as the share of the cycles in which it was active."""
     shown = [i for i in range(len(names)) if np.isfinite(active[:, i]).any()]
     height = 0.4 + 0.16 * max(len(shown), 1)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         figure = Figure(figsize=(7.0, height))
         axes = figure.add_axes((0.1, 0.32 / height, 0.88, 0.98 - 0.34 / height))
         for k, i in enumerate(reversed(shown)):
@@ -146,7 +128,7 @@ def draw_active(active: Samples, names: list[str]) -> str:
         axes.set_xlim(0, 100)
         axes.set_ylim(-0.6, max(len(shown), 1) - 0.4)
         axes.set_xlabel("% of the cycle")
-        return _svg(figure, "when muscles are active")
+        return svg(figure, "when muscles are active")
 
 
 def _stretches(share: Samples) -> list[tuple[int, int, float]]:
@@ -205,11 +187,11 @@ def _finish(axes: Axes, figure: Figure, ends: list[float], unit: str) -> None:
     _write_unit(axes, figure, unit)
 
 
-def draw(curves: Curves, stance_percent: float, unit: str, titles: list[str]) -> list[str]:
+def draw(curves: Curves, stance_percent: float, unit: str, titles: list[str]) -> list[Markup]:
     """One SVG element per muscle: mean curve, band of one standard deviation, thin single cycles, stance shaded."""
     chosen = curves.single[np.linspace(0, len(curves.single) - 1, min(len(curves.single), SINGLE)).round().astype(int)]
     size = next(size for most, size in SIZES_IN.items() if len(titles) <= most)
-    with rc_context(_STYLE):
+    with rc_context(STYLE):
         return [
             _muscle(curves, i, chosen[:, :, i], stance_percent, unit, title, size) for i, title in enumerate(titles)
         ]
@@ -217,7 +199,7 @@ def draw(curves: Curves, stance_percent: float, unit: str, titles: list[str]) ->
 
 def _muscle(
     curves: Curves, channel: int, single: Samples, stance: float, unit: str, title: str, size: tuple[float, float]
-) -> str:
+) -> Markup:
     width, height = size
     mean, sd = curves.mean[:, channel], curves.sd[:, channel]
     figure = Figure(figsize=size)
@@ -246,7 +228,7 @@ def _muscle(
     axes.set_xticks([0, 25, 50, 75, 100])
     axes.locator_params(axis="y", nbins=4)
     _write_unit(axes, figure, unit)
-    return _svg(figure, title)
+    return svg(figure, title)
 
 
 def _write_unit(axes: Axes, figure: Figure, unit: str) -> None:
@@ -284,23 +266,3 @@ def _mark_cut(axes: Axes, single: Samples, top: float, *, below: bool = False) -
         0.99, 0.01 if below else 0.99, f"cut off: {len(over)} {word} to {sign * highest.max():.3g}", ha="right",
         va="bottom" if below else "top", fontsize=5, color="#a3211b", transform=axes.transAxes,
     )  # fmt: skip
-
-
-def _shorter(number: re.Match[str]) -> str:
-    return f"{float(number.group()):.2f}"
-
-
-def _svg(figure: Figure, title: str) -> str:
-    """The figure as an SVG element without prologue, with coordinates of two decimals and a title for screen readers.
-
-    What is written beside the axes keeps its decimals: it is the text between the tags.
-    """
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    body = text.getvalue()
-    body = body[body.index("<svg") :]
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    body = re.sub(r"<[^>]*>", lambda tag: re.sub(r"-?\d+\.\d{3,}", _shorter, tag.group()), body)
-    mark = re.sub(r"\W", "", title)
-    body = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{mark}-", body)
-    return re.sub(r"<svg([^>]*)>", rf'<svg\1 role="img" aria-label="{escape(title)}">', body, count=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import structlog
 
 from kinegraph.devices.reports.session.contents.data import Curves, Report, save
 from kinegraph.stream.errors import DeviceError
-from kinegraph.stream.system.subprocesses import child
+from kinegraph.stream.system.subprocesses import child, yield_processor
 
 DRAWING_S = 180.0
 
@@ -68,18 +67,10 @@ def _start(stem: Path, report: Report, curves: Curves) -> subprocess.Popen[bytes
     command = child("kinegraph.devices.reports.session.page", str(_data(stem)), f"{stem}.html")
     to = subprocess.DEVNULL if report.interim else subprocess.PIPE
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=to, start_new_session=True)
-    if report.interim and hasattr(os, "nice"):
-        _be_nice(process.pid, 10)
+    if report.interim:
+        yield_processor(process)
     return process
 
 
 def _data(stem: Path) -> Path:
     return stem.with_name(f".{stem.name}.npz")
-
-
-def _be_nice(process: int, by: int) -> None:
-    """An interim page must not take the processor from the graph."""
-    try:
-        os.setpriority(os.PRIO_PROCESS, process, by)
-    except (OSError, AttributeError):
-        log.debug("interim report drawn at normal priority")

@@ -15,7 +15,8 @@ from kinegraph.devices.reports.session.contents.data import Curves, Muscle, Repo
 from kinegraph.devices.reports.session.contents.labels import normalisation_text
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.system.atomic_file import write_complete
-from kinegraph.stream.text.time_text import elapsed, now, time_of_day
+from kinegraph.stream.text import report as pages
+from kinegraph.stream.text.time_text import elapsed, time_of_day
 from kinegraph.stream.text.units import shown
 
 AT_TIMES = 0.1
@@ -36,15 +37,13 @@ def write(page: Path, report: Report, curves: Curves) -> None:
 
 def render(report: Report, curves: Curves) -> str:
     """The page's HTML."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
     from kinegraph.devices.reports.session import curves as report_curves
 
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=False
-    )
     stance = report.stance_percent
-    return environment.get_template("page.html.j2").render(
+    return pages.render(
+        Path(__file__).with_name("page.html.j2"),
+        report.title,
+        versions=report.versions,
         r=report,
         unit=shown(report.unit),
         shown=shown,
@@ -74,7 +73,6 @@ def render(report: Report, curves: Curves) -> str:
         single=min(len(curves.single), report_curves.SINGLE),
         limits=limits(report),
         ended=time_of_day(report.ended),
-        made=now(),
         cell=_cell,
         number=_number,
         thousands=lambda n: f"{n:,}".replace(",", " "),

@@ -11,7 +11,8 @@ import numpy as np
 
 from kinegraph.devices.reports.training.rows import Exercise, Training, exercises
 from kinegraph.stream.chunk import NEVER, NS
-from kinegraph.stream.text.time_text import elapsed, minute, now
+from kinegraph.stream.text import report
+from kinegraph.stream.text.time_text import elapsed, minute
 
 BAR_WIDTH, BARS_HEIGHT = 9, 46
 """Pixels of a repetition's bar, and of the longest one's height."""
@@ -22,15 +23,11 @@ SCALE = 0.1
 
 def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, table: str) -> str:
     """The page's HTML. `unit`: of ranges and distances; `table`: the name of the CSV file beside it."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
     sets = exercises(training)
     lasted = (training.ended - training.began) / NS if training.began != NEVER else 0.0
-    return environment.get_template("page.html.j2").render(
-        title=title,
+    return report.render(
+        Path(__file__).with_name("page.html.j2"),
+        title,
         facts=[(key.replace("_", " "), str(value)) for key, value in facts.items()],
         began="" if training.began == NEVER else minute(training.began),
         sets=sets,
@@ -39,7 +36,7 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
         repetitions=sum(one.repetitions for one in sets),
         left_out=training.left_out,
         unit=unit,
-        table=table,
+        table_file=table,
         number=number,
         minutes=partial(elapsed, hours=False),
         bars=bars,
@@ -50,7 +47,6 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
         doubtful=any(one.doubtful for one in sets),
         questioned=any(one.name.endswith("?") for one in sets),
         shown=any(np.isfinite(one.distances).any() for one in sets),
-        made=now(),
     )
 
 

@@ -2,45 +2,34 @@
 
 from __future__ import annotations
 
-import io
-from typing import Any
-
 import numpy as np
+from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from kinegraph.operators.emg.commands.comparison import Band, Comparison
+from kinegraph.stream.text.report import COLOURS, STYLE, svg
 from kinegraph.stream.text.units import shown
 
-COLOURS = ("#12395b", "#b25b00", "#2f7d4f", "#a3211b", "#7a3b8f", "#55534e", "#0b7d8f", "#8f6b0b")
 WITH_BANDS = 4
 """Up to this many sessions have a band of one standard deviation each; more are mean curves alone."""
 SIZE_IN = (3.6, 3.0)
 PLACE = np.arange(100)
-STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "kinegraph",
-    "font.size": 7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
 
 
-def draw_curves(found: Comparison) -> list[str]:
+def draw_curves(found: Comparison) -> list[Markup]:
     """One SVG element per muscle."""
-    with rc_context(STYLE):
+    with rc_context(STYLE | {"font.size": 7}):
         return [_drawn(found, band) for band in found.bands]
 
 
-def _drawn(found: Comparison, band: Band) -> str:
+def _drawn(found: Comparison, band: Band) -> Markup:
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     _means(above, found, band)
     _difference(below, found, band)
-    held = io.StringIO()
-    figure.savefig(held, format="svg", metadata={"Date": None})
-    return held.getvalue()[held.getvalue().index("<svg") :]
+    return svg(figure, band.name)
 
 
 def _means(axes: Axes, found: Comparison, band: Band) -> None:

@@ -2,48 +2,27 @@
 
 from __future__ import annotations
 
-import base64
 import csv
-import io
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 
 from kinegraph.operators.emg.commands.comparison import Comparison, Scatter, standardised
 from kinegraph.operators.emg.commands.comparison_curves import WITH_BANDS, draw_curves
-from kinegraph.stream.system.atomic_file import complete
+from kinegraph.stream.system.atomic_file import complete, write_complete
+from kinegraph.stream.text import report
 from kinegraph.stream.text.units import shown
-
-PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{{ title }}</title><style>
-body{font:15px/1.4 sans-serif;max-width:60em;margin:2em auto}table{border-collapse:collapse;margin:1em 0}
-td,th{padding:.15em .7em;text-align:right}td:first-child,th:first-child{text-align:left}img{max-width:100%}
-.curves{display:flex;flex-wrap:wrap}.curves figure{margin:0}</style></head><body>
-<h1>{{ title }}</h1>
-<p>{% for s in sessions %}{{ s[0] }}: {{ s[1] }} cycles. {% endfor %}Normalisation: {{ alike.normalisation }};
-heights in {{ unit or "no unit" }}. Sessions that were normalised or filtered otherwise are refused.
-{% for s in speeds %} <b>{{ s }}.</b>{% endfor %}</p>
-<h2>Mean curves</h2><p>{{ curves_note }}</p>
-<div class="curves">{% for curve in curves %}<figure>{{ curve | safe }}</figure>{% endfor %}</div>
-{% for table in tables %}<h2>{{ table.title }}</h2><p>{{ table.note }}</p>
-<table><tr>{% for h in table.head %}<th>{{ h }}</th>{% endfor %}</tr>
-{% for row in table.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</table>{% endfor %}
-<h2>Who resembles whom</h2>
-<p>Single linkage on place and height of the five highest modes and their number, of every muscle (thesis 6.3.3), each in units of its
-standard deviation.</p><img alt="dendrogram" src="data:image/png;base64,{{ dendrogram }}">
-</body></html>"""
 
 
 def write_page(found: Comparison, path: Path, title: str) -> None:
     """Write the page; it appears when it is complete. Raises OSError."""
-    from jinja2 import Environment
-
-    text = Environment(autoescape=True).from_string(PAGE).render(
-        title=title, sessions=list(zip(found.labels, found.cycles, strict=True)), alike=found.alike,
-        unit=shown(str(found.alike["height_unit"] or "")), tables=_tables(found),
+    text = report.render(
+        Path(__file__).with_name("comparison.html.j2"), title, sessions=list(zip(found.labels, found.cycles, strict=True)),
+        alike=found.alike, unit=shown(str(found.alike["height_unit"] or "")), tables=_tables(found),
         dendrogram=_dendrogram(found), speeds=found.speeds, curves=draw_curves(found), curves_note=_curves_note(found),
     )  # fmt: skip
-    with complete(path) as draft:
-        draft.write_text(text, encoding="utf-8")
+    write_complete(path, text)
 
 
 def write_tables(found: Comparison, path: Path) -> None:
@@ -94,7 +73,7 @@ def _tables(found: Comparison) -> list[dict[str, object]]:
     note = "Cauchy-Schwarz divergence of the peaks' mixtures: 0 for the same, no upper bound; 'not known' where a muscle has no burst."
     for muscle, table in found.distances.items():
         rows = [
-            [label, modes, *map(_told, row)]
+            [label, modes, *map(_number, row)]
             for label, modes, row in zip(found.labels, found.modes[muscle], table, strict=True)
         ]
         made.append(
@@ -125,7 +104,7 @@ def _scatter_table(part: list[Scatter], title: str) -> dict[str, object]:
         "In shares of the muscle's highest value in the session. Deviation and MAD are the mean distance of a cycle and the mean absolute "
         "deviation of the distances, which the thesis's tables hold; eq. 6.9 and 6.10 are as printed."
     )
-    rows = [[s.session, s.muscle, s.cycles, *map(_told, (s.deviation, s.mad, s.eq_6_9, s.eq_6_10))] for s in part]
+    rows = [[s.session, s.muscle, s.cycles, *map(_number, (s.deviation, s.mad, s.eq_6_9, s.eq_6_10))] for s in part]
     head = ["session", "muscle", "cycles", "deviation", "MAD", "eq. 6.9", "eq. 6.10"]
     return {"title": title, "note": note, "head": head, "rows": rows}
 
@@ -141,12 +120,11 @@ def stretches(places: list[int]) -> str:
     return ", ".join(f"{a}" if a == b else f"{a}-{b}" for a, b in made) or "nowhere"
 
 
-def _told(value: float) -> str:
+def _number(value: float) -> str:
     return f"{value:.3f}" if np.isfinite(value) else "not known"
 
 
-def _dendrogram(found: Comparison) -> str:
-    """A PNG in base64."""
+def _dendrogram(found: Comparison) -> Markup:
     from matplotlib.figure import Figure
     from scipy.cluster.hierarchy import dendrogram
 
@@ -157,6 +135,4 @@ def _dendrogram(found: Comparison) -> str:
         linkage[:, 2] = np.finfo(float).eps  # all alike: an axis needs a length
     dendrogram(linkage, labels=found.labels, orientation="right", ax=axes, color_threshold=0.0)
     axes.set_xlabel(f"distance ({standardised(found.features).shape[1]} features)")
-    held = io.BytesIO()
-    figure.savefig(held, format="png", dpi=110)
-    return base64.b64encode(held.getvalue()).decode()
+    return report.png(figure, "dendrogram")

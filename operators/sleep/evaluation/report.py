@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Sequence
 from pathlib import Path
+
+from markupsafe import Markup
 
 from kinegraph.operators.sleep.evaluation.checklist import NOT_GIVEN, STUDY, Evaluated, checklist
 from kinegraph.operators.sleep.evaluation.comparison import NOTE
@@ -13,30 +13,10 @@ from kinegraph.operators.sleep.evaluation.persons import MEASURES, METRICS, by_p
 from kinegraph.stream.data.csv_writer import sheet_text
 from kinegraph.stream.data.tables import read_records
 from kinegraph.stream.errors import KinegraphError
-from kinegraph.stream.system.atomic_file import complete, private_folder
+from kinegraph.stream.system.atomic_file import private_folder, write_complete
+from kinegraph.stream.text import report
 
 FILES = ("report.html", "checklist.csv", "persons.csv")
-PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Estimated sleep against a reference</title><style>
-body{font:14px/1.4 sans-serif;max-width:75em;margin:2em auto;padding:0 1em}table{border-collapse:collapse;margin:1em 0}
-td,th{padding:.2em .6em;text-align:left;vertical-align:top;border-bottom:1px solid #ddd}.missing{color:#a3211b}img{max-width:100%}
-.wide{overflow-x:auto}</style></head><body>
-<h1>Estimated sleep against a reference</h1>
-<p>{{ note }}</p>
-<h2>Checklist</h2>
-<p>After the steps of Menghini et al. 2021 (Sleep 44(2), zsaa170). {{ missing }} of {{ items|length }} items are not given.</p>
-<table><tr><th>step</th><th>item</th><th>what was done</th><th>answer</th></tr>
-{% for i in items %}<tr><td>{{ i.step }}</td><td>{{ i.item }}</td><td>{{ i.done }}</td>
-<td{% if i.answer == none_given %} class="missing"{% endif %}>{{ i.answer }}</td></tr>
-{% endfor %}</table>
-<h2>Persons</h2>
-<p>Of all epochs of a person's nights; differences are the nights' mean of estimate less reference.</p>
-<div class="wide"><table><tr>{% for h in head %}<th>{{ h }}</th>{% endfor %}</tr>
-{% for row in rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
-{% endfor %}</table></div>
-<h2>Nights</h2>
-<img alt="Bland-Altman plots and hypnograms" src="data:image/png;base64,{{ picture }}">
-</body></html>
-"""
 
 
 def read_study(path: Path) -> dict[str, str]:
@@ -63,18 +43,22 @@ def write_report(of: Evaluated, folder: Path) -> list[Path]:
     items, persons = checklist(of), _persons(of)
     shown = [[f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in row] for row in persons[1:]]
     shown = [[NOT_GIVEN if cell == "nan" else cell for cell in row] for row in shown]
-    from jinja2 import Environment
-
-    page = Environment(autoescape=True).from_string(PAGE).render(
-        note=NOTE, items=items, none_given=NOT_GIVEN, missing=sum(i.answer == NOT_GIVEN for i in items), head=persons[0],
-        rows=shown, picture=_picture(of),
-    )  # fmt: skip
+    page = report.render(
+        Path(__file__).with_name("page.html.j2"),
+        "Estimated sleep against a reference",
+        note=NOTE,
+        items=items,
+        none_given=NOT_GIVEN,
+        missing=sum(i.answer == NOT_GIVEN for i in items),
+        head=persons[0],
+        rows=shown,
+        picture=_picture(of),
+    )
     sheet = [("step", "item", "done", "answer"), *((i.step, i.item, i.done, i.answer) for i in items)]
     texts = (page, sheet_text(sheet), sheet_text(persons))
     private_folder(folder)
     for name, text in zip(FILES, texts, strict=True):
-        with complete(folder / name) as draft:
-            draft.write_text(text, encoding="utf-8")
+        write_complete(folder / name, text)
     return [folder / name for name in FILES]
 
 
@@ -91,9 +75,7 @@ def _persons(of: Evaluated) -> list[Sequence[object]]:
     return rows
 
 
-def _picture(of: Evaluated) -> str:
+def _picture(of: Evaluated) -> Markup:
     from kinegraph.operators.sleep.evaluation.pictures import draw
 
-    file = io.BytesIO()
-    draw(list(of.pairs)).savefig(file, format="png", dpi=110)
-    return base64.b64encode(file.getvalue()).decode("ascii")
+    return report.png(draw(list(of.pairs)), "Bland-Altman plots and hypnograms")

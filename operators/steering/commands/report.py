@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Callable, Mapping
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from markupsafe import Markup
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
@@ -18,12 +16,10 @@ from kinegraph.operators.steering.model.fit import Steering
 from kinegraph.operators.steering.model.part import Part
 from kinegraph.operators.steering.model.turns import rigid
 from kinegraph.stream.chunk import Array, Samples
-from kinegraph.stream.text.html import table_html
+from kinegraph.stream.text.report import png, render
 
 VIEWS = {"from the side": (2, 1, 0), "from the front": (0, 1, 2)}
 """Axes to the right and up, and the one that is looked along."""
-STYLE = "body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}table{border-collapse:collapse}"
-CELLS = "th,td{text-align:left;padding:.2rem .8rem;border-bottom:1px solid #ccc}img{max-width:100%}"
 FOLD = 4
 Train = Callable[[Samples], Steering]
 
@@ -64,20 +60,12 @@ def write_report(
         f"every fourth frame, left out of a training of the others, vertices are off by {errors.mean():.3f} % of the mesh's "
         f"diagonal in the mean over the mesh, by {errors.max():.2f} % where it is worst."
     )
-    body = [
-        f"<h1>{escape(title)}</h1><p>{escape(summary)}</p>",
-        table_html(("way", "off in frames left out", ""), rows) if rows else "",
-        table_html(("option", "as"), [(name, str(value)) for name, value in asked.items()]) if asked else "",
-        f"<h2>Parts</h2>{picture(frames[0], faces, colours)}",
-        table_html(("part", "vertices", "follows", "width", "ridge", "its modes explain"), facts),
-        f"<h2>Error of each vertex</h2><p>Dark: 0; yellow: {np.percentile(errors, 99):.2f} % of the diagonal and more.</p>",
-        picture(frames[0], faces, heat),
-        f"<h2>Shape modes</h2><p>How much of what a rigid motion leaves of a part its modes explain.</p>{curves(shares)}",
-    ]
-    head = (
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(title)}</title><style>{STYLE}{CELLS}</style>"
-    )
-    path.write_text(f"{head}{''.join(body)}</html>", encoding="utf-8")
+    page = render(
+        Path(__file__).with_name("page.html.j2"), title, summary=summary, rows=rows, asked=list(asked.items()),
+        parts=picture(frames[0], faces, colours), facts=facts, worst=np.percentile(errors, 99),
+        errors=picture(frames[0], faces, heat), modes=curves(shares),
+    )  # fmt: skip
+    path.write_text(page, encoding="utf-8")
     return float(errors.mean())
 
 
@@ -115,7 +103,7 @@ def explained(part: Part, frames: Samples) -> Samples:
     )
 
 
-def picture(points: Samples, faces: Array, colours: Samples) -> str:
+def picture(points: Samples, faces: Array, colours: Samples) -> Markup:
     """The mesh (v, 3) from two sides, each triangle in the mean of its vertices' `colours` (v, 4), shaded."""
     figure = Figure(figsize=(9, 4.5), layout="constrained")
     corners = points[np.asarray(faces)]
@@ -131,10 +119,10 @@ def picture(points: Samples, faces: Array, colours: Samples) -> str:
         axes.set_aspect("equal")
         axes.set_axis_off()
         axes.set_title(name, fontsize=10)
-    return drawn(figure)
+    return png(figure, "the mesh from two sides")
 
 
-def curves(shares: list[Samples]) -> str:
+def curves(shares: list[Samples]) -> Markup:
     """What the first modes of each part explain."""
     figure = Figure(figsize=(9, 3.5), layout="constrained")
     axes = figure.subplots()
@@ -143,11 +131,4 @@ def curves(shares: list[Samples]) -> str:
     axes.set(xlabel="modes", ylabel="explained, %", ylim=(0, 102))
     if len(shares) <= 20:
         axes.legend(title="part", ncols=2, fontsize=8)
-    return drawn(figure)
-
-
-def drawn(figure: Figure) -> str:
-    """A figure as an element of the page."""
-    held = io.BytesIO()
-    figure.savefig(held, format="png", dpi=110)
-    return f'<img alt="" src="data:image/png;base64,{base64.b64encode(held.getvalue()).decode()}">'
+    return png(figure, "what shape modes explain")
