@@ -290,7 +290,7 @@ def analysed_striding(w: Striding) -> Outcome:
     seen, lost = {"in": (spec, when[w.seen], w.markers[w.seen])}, None if w.seen.all() else w.seen
     watch = MarkerWatch(segments=(("LANK", "LTOE"), ("RANK", "RTOE")))
     alarms = drive(watch, seen, lost)["out"]
-    return analysed((emg, time, w.emg[:, :2]), drive(finder, seen, lost), most_noise=0.02, beside=[alarms])
+    return analysed((emg, time, w.emg[:, :2]), drive(finder, seen, lost), max_noise=0.02, beside=[alarms])
 
 
 def table(names: list[str]) -> list[tuple[str, ...]]:

@@ -73,11 +73,11 @@ class Outcome:
 
 
 def analysed(
-    emg: Stream, feet: dict[str, Stream], here: Any = None, most_noise: float = 0.0, beside: Sequence[Stream] = ()
+    emg: Stream, feet: dict[str, Stream], here: Any = None, max_noise: float = 0.0, beside: Sequence[Stream] = ()
 ) -> Outcome:
     """A walk through the session's operators. `emg`: of one leg; `feet`: its touch-downs and lift-offs; `here`: which samples arrived;
     `beside`: alarms about what the feet were found by."""
-    quality = drive(SignalQuality(most_noise=most_noise), {"in": emg}, here)["out"]
+    quality = drive(SignalQuality(max_noise=max_noise), {"in": emg}, here)["out"]
     envelope = drive(Envelope(), {"in": emg}, here)["out"]
     cycles = drive(Cycles(), {"signal": envelope, **feet})
     both = {name: cycles[name] for name in ("closed", "cycles")}

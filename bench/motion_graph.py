@@ -295,11 +295,11 @@ def aligned_runs() -> str:
         angles = np.unwrap(np.deg2rad(z["angles_deg"].astype(float)), axis=0)[::12]
         run = z["label"][::12] == z["label_names"].tolist().index("run")
     rows = []
-    for most_s in (2, 4):
-        found = aligned_clusters(angles, 7, 5, 10 * most_s)
+    for max_s in (2, 4):
+        found = aligned_clusters(angles, 7, 5, 10 * max_s)
         pairs = zip(found.starts, found.ends, strict=True)
         runs = found.cluster[int(np.argmax([run[a:b].mean() for a, b in pairs]))]
-        rows.append([f"{most_s}", str(len(found.starts)), str(int((found.cluster == runs).sum()))])
+        rows.append([f"{max_s}", str(len(found.starts)), str(int((found.cluster == runs).sum()))])
     return table(["longest segment, s", "segments", "in the cluster of the runs"], rows)
 
 

@@ -32,11 +32,13 @@ RENAMED = {
 
 
 def renamed(text: str) -> str:
-    """The text of a graph with today's dotted names."""
-    from kinegraph.stream.graph.moved import MOVED
+    """The text of a graph with today's dotted names and parameters."""
+    from kinegraph.stream.graph.moved import MOVED, PARAMETERS
 
     for old, new in RENAMED.items():
         text = re.sub(rf"(?<![\w.]){re.escape(old)}", new, text)
+    for old, new in PARAMETERS.items():
+        text = re.sub(rf"\b{old}(?=:)", new, text)
     return re.sub(r"(?<![\w.])(?:stream|devices|operators)(?:\.\w+)+", lambda use: MOVED.get(use[0], use[0]), text)
 
 

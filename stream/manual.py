@@ -26,12 +26,12 @@ class Annotations(Source):
     """Marks set by a key or a typed word. Every live session has this source, under the name `annotations`.
 
     One event per mark: `onset` (ns), when its first key was pressed, and `text`, at most 64 characters. A graph with operators that
-    read marks names this source itself with a shorter `heard_s`, since they wait that long.
+    read marks names this source itself with a shorter `input_lag_s`, since they wait that long.
     """
 
     background: ClassVar[bool] = True
 
-    heard_s: float = param(QUIET_S, least=0.01, most=1.0, help="how often it says that nothing was typed")
+    input_lag_s: float = param(QUIET_S, least=0.01, most=1.0, help="how often it says that nothing was typed")
 
     def specs(self) -> Specs:
         return {"out": StreamSpec((), ANNOTATION, units=("ns", ""))}
@@ -41,7 +41,7 @@ class Annotations(Source):
         spec = self.specs()["out"]
         feed.ready()
         while not feed.stopped:
-            word = feed.listen(self.heard_s)
+            word = feed.listen(self.input_lag_s)
             now = feed.now()
             if word is None:
                 feed.emit(empty(spec, now))

@@ -10,14 +10,14 @@ from kinegraph.stream.kernel import kernel
 
 @kernel
 def line_below(
-    x: Times, y: Times, n: int, steady: int, most_drift: float, steepest: float, clear: float, hull: Times, rest: Samples, out: Samples
+    x: Times, y: Times, n: int, steady: int, max_drift: float, steepest: float, clear: float, hull: Times, rest: Samples, out: Samples
 ) -> int:  # fmt: skip
     """The edge, over the middle of what is known, of the lower convex hull of the first n > 0 of the points `x`, `y` (m,), x increasing.
 
     hull, rest   (m,) memory
     out          slope, height above y[0] at the point with the returned index, median of how far the points are above the line
 
-    Below `steady` points the slope is 0. One above `most_drift` is believed up to `steepest`, where it is `clear` times the stray.
+    Below `steady` points the slope is 0. One above `max_drift` is believed up to `steepest`, where it is `clear` times the stray.
     """
     at, slope = 0, 0.0
     if n < steady:
@@ -46,13 +46,13 @@ def line_below(
             edge += 1
         at, right = hull[edge - 1], hull[edge]
         slope = np.float64(y[right] - y[at]) / np.float64(x[right] - x[at])
-        if slope > most_drift:
+        if slope > max_drift:
             for i in range(n):
                 rest[i] = np.float64(y[i] - y[at]) - slope * np.float64(x[i] - x[at])
             stray = middle_of(rest, n)
-            believed = (slope - most_drift) * np.float64(x[n - 1] - x[0]) > clear * stray
-            slope = min(slope, steepest if believed else most_drift)
-        slope = max(slope, -most_drift)
+            believed = (slope - max_drift) * np.float64(x[n - 1] - x[0]) > clear * stray
+            slope = min(slope, steepest if believed else max_drift)
+        slope = max(slope, -max_drift)
         below = 0.0
         for i in range(n):
             below = min(below, np.float64(y[i] - y[at]) - slope * np.float64(x[i] - x[at]))

@@ -42,7 +42,7 @@ class TreadmillControl(Outlet[TreadmillCommand, TreadmillConnection]):
     incline   a signal of one channel, %
 
     Only changes of at least `step` are sent; NaN leaves a setting as it is. The source holds them within the treadmill's own limits and its
-    `most_kmh`. A belt that moves can throw a person: keep that low, and the safety key attached. In a replay nothing is set.
+    `max_kmh`. A belt that moves can throw a person: keep that low, and the safety key attached. In a replay nothing is set.
     """
 
     inputs = {"speed": Input(), "incline": Input(optional=True)}

@@ -43,7 +43,7 @@ class FtmsTreadmill(BleSource):
 
     Stamps are arrivals: the service has no clock. With `control: true` the outlet `devices.fitness_treadmill.control.TreadmillControl` of
     the
-    same graph, with the same `device`, sets speed and incline, within the treadmill's own limits and `most_kmh`; otherwise nothing is ever
+    same graph, with the same `device`, sets speed and incline, within the treadmill's own limits and `max_kmh`; otherwise nothing is ever
     written. At the session's end the belt is stopped, but only if this session has set it.
     """
 
@@ -51,7 +51,7 @@ class FtmsTreadmill(BleSource):
 
     device: str = param("", help=DEVICE_HELP)
     control: bool = param(False, help="let an outlet of this graph set speed and incline")
-    most_kmh: float = param(12.0, above=0, most=40, help="no faster speed is ever set")
+    max_kmh: float = param(12.0, above=0, most=40, help="no faster speed is ever set")
     scan_s: float = param(10.0, above=0, help="how long to search for it")
 
     @property
@@ -63,7 +63,7 @@ class FtmsTreadmill(BleSource):
         return {"out": StreamSpec((len(names),), channels=names, units=units)}
 
     def greet(self, link: BleLink, feed: Feed) -> TreadmillReading:
-        control = TreadmillControls(link, self.most_kmh, targets_of(self.device)) if self.control else None
+        control = TreadmillControls(link, self.max_kmh, targets_of(self.device)) if self.control else None
         reading = TreadmillReading(link.name, control)
         link.subscribe(ftms.DATA)
         if link.offers(ftms.STATUS):
@@ -84,7 +84,7 @@ class FtmsTreadmill(BleSource):
 class TreadmillControls:
     """What is set: only what was asked for since the last look, within the limits, and only after control was granted."""
 
-    def __init__(self, link: BleLink, most_kmh: float, targets: Targets) -> None:
+    def __init__(self, link: BleLink, max_kmh: float, targets: Targets) -> None:
         self._link, self._targets = link, targets
         features = link.ask(ftms.FEATURES)
         self._able = dict(zip((ftms.SPEED, ftms.INCLINE), ftms.can_be_set(features), strict=True))
@@ -98,7 +98,7 @@ class TreadmillControls:
                     low, high, step = ftms.limits(link.ask(where), signed=signed, factor=factor)
                 except struct.error:
                     raise DeviceError(f"{link.name} does not report its limits; its speed is not set") from None
-                self._limits[op] = (low, min(high, most_kmh) if op == ftms.SPEED else high, step)
+                self._limits[op] = (low, min(high, max_kmh) if op == ftms.SPEED else high, step)
 
     def ask(self) -> None:
         """Take control; raises DeviceError."""

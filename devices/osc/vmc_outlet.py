@@ -44,7 +44,7 @@ class VmcRuntime:
 
 @dataclass(frozen=True, slots=True)
 class VmcOutlet(Outlet[VmcState, VmcRuntime]):
-    """Sends every pose as a frame of the VMC protocol: one bundle, or several below `most_bytes`, by UDP.
+    """Sends every pose as a frame of the VMC protocol: one bundle, or several below `max_bytes`, by UDP.
 
     pose    a stream of poses. One of another skeleton than VRM's is turned into it by the names of its joints, or by `bones`
     blends  weights (0 to 1) of blend shapes, a signal with channels named as the avatar's: Joy, A, Blink_L
@@ -60,14 +60,14 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
     port: int = param(39539, least=1, most=65535, help="the receiver's UDP port: 39539 in VSeeFace and Warudo")
     avatar: Path | None = param(None, help="the VRM file of the avatar; left out: a body of usual size")
     bones: Mapping[str, str] | None = param(None, help="bone: joint, where names do not say")
-    most_bytes: int = param(SAFE_BYTES, least=200, most=65000, help="no datagram is longer; 65000: a frame is one")
+    max_bytes: int = param(SAFE_BYTES, least=200, most=65000, help="no datagram is longer; 65000: a frame is one")
 
     def open(self, specs: Specs) -> Specs:
         tree = humanoid_of(specs["pose"], self.bones)
         names = _blend_names(specs["blends"]) if "blends" in specs else ()
         avatar = read_vrm(self.avatar) if self.avatar else usual_body()
         body = tree if tree.joints == BONES else to_humanoid(tree, np.zeros((0, tree.width)), self.bones)[0]
-        frame = VmcFrame(BONES, avatar.offsets, names, self.most_bytes)
+        frame = VmcFrame(BONES, avatar.offsets, names, self.max_bytes)
         self.set_state(VmcState(np.zeros(len(names))), VmcRuntime(tree, frame, _leg(avatar) / max(_leg(body), 1e-3)))
         return {}
 

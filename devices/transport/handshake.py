@@ -50,11 +50,11 @@ def shown(data: bytes) -> str:
     return f"{len(data)} bytes: {data[:SHOWN].hex(' ')}{more}{readable}"
 
 
-def silence(what: str, port: str, silent_s: float, most_s: float, expected: str, came: bytes) -> str:
-    """The error of a device that has sent no good `what` for so long; "" while that is at most `most_s`."""
-    if silent_s <= most_s:
+def silence(what: str, port: str, silent_s: float, max_s: float, expected: str, came: bytes) -> str:
+    """The error of a device that has sent no good `what` for so long; "" while that is at most `max_s`."""
+    if silent_s <= max_s:
         return ""
-    return f"no {what} from {port} for {most_s:g} s: expected {expected}; came {shown(came)}"
+    return f"no {what} from {port} for {max_s:g} s: expected {expected}; came {shown(came)}"
 
 
 def all_there(link: Transport, first: bytes, most: int = 1 << 20) -> bytes:

@@ -87,7 +87,7 @@ class ActivityState:
     epoch_ns: int
     begin: int
     silent: int
-    most_silent: int
+    max_silent: int
     expected: float
     slots: EpochSlots
     lost: int
@@ -97,8 +97,8 @@ class ActivityState:
 class Activity(Operator[ActivityState]):
     """The change N(t) of every sleeper's region in (`motion`), and where the sleepers are (`bed`); activity per epoch out.
 
-    out     (sleepers,) float64: share of the time seen with movement; 0 below `least_s` of movement; 1 where the sleeper was out of bed
-            throughout (being up is being awake); NaN where less than `least_seen` was seen, noise is not known yet, or, with `bed`
+    out     (sleepers,) float64: share of the time seen with movement; 0 below `min_s` of movement; 1 where the sleeper was out of bed
+            throughout (being up is being awake); NaN where less than `min_seen` was seen, noise is not known yet, or, with `bed`
             connected, the bed's state is unknown. Stamped with the epoch's start; goes straight into
             operators.sleep.scorer.SleepScorer
     epochs  per epoch and sleeper: onset, end; moved_s: time with movement; seen: share of the frames; bed: in, out or unknown, at its
@@ -109,7 +109,7 @@ class Activity(Operator[ActivityState]):
             operators.bed.presence.Presence), `learning` (too little is known of stillness)
 
     Movement is where N, averaged over `smooth_s`, exceeds the threshold: what N is in the stillest quarter of the newest 60 epochs with
-    this sleeper in bed, plus `sigmas` times its own scatter there (breath counts as scatter), and at least `least_rise` of it. So it is
+    this sleeper in bed, plus `sigmas` times its own scatter there (breath counts as scatter), and at least `min_rise` of it. So it is
     calibrated on the frames as they come, simplified and noisy; before there are 4 such epochs it is not known. It is never above
     3 times what N is over the empty bed, so that an evening without any stillness is not taken for noise, unless for ten minutes it has
     been as steady as only noise is. After a jump of the view all noise is learned again.
@@ -133,9 +133,9 @@ class Activity(Operator[ActivityState]):
     )
     smooth_s: float = param(0.5, above=0.0, help="movement is judged on averages of this length")
     sigmas: float = param(6.0, above=0.0, help="how far above the noise movement begins: lower is more sensitive")
-    least_rise: float = param(0.05, least=0.0, help="and how far at least, as a share of the noise")
-    least_s: float = param(1.0, least=0.0, help="less movement in an epoch counts as 0")
-    least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the frames that must have been seen")
+    min_rise: float = param(0.05, least=0.0, help="and how far at least, as a share of the noise")
+    min_s: float = param(1.0, least=0.0, help="less movement in an epoch counts as 0")
+    min_seen: float = param(0.5, above=0.0, most=1.0, help="share of the frames that must have been seen")
     crosstalk_ratio: float = param(3.0, above=1.0, help="how much stronger another's movement must be to be suspected")
     reset_gap_s: float = reset_gap(43_200.0, "a longer silence is not filled with unknown epochs")
 
@@ -158,9 +158,7 @@ class Activity(Operator[ActivityState]):
         slots = max(1, round(self.epoch_s / slot_s))
         epoch_ns = round(self.epoch_s * NS)
         unasked = UNKNOWN if "bed" in specs else IN
-        limits = ActivityLimits(
-            self.sigmas, self.least_rise, self.least_s, self.least_seen, self.crosstalk_ratio, unasked
-        )
+        limits = ActivityLimits(self.sigmas, self.min_rise, self.min_s, self.min_seen, self.crosstalk_ratio, unasked)
         self.set_state(
             ActivityState(
                 SleeperActivity.unknown(list(spec.channels), limits, -(-epoch_ns // slots)), epoch_ns, NEVER, 0,
@@ -230,7 +228,7 @@ class Activity(Operator[ActivityState]):
             Case(cls(epoch_s=2.0, reset_gap_s=30.0), inputs, least=29 * 3),
             Case(cls(epoch_s=2.0, reset_gap_s=30.0), {"view": seen, **inputs}, least=29 * 3),
             Case(cls(epoch_s=2.0, reset_gap_s=30.0), {"far": (spec, time, motion + 0.01), **inputs}, least=29 * 3),
-            Case(cls(epoch_s=3.0, least_s=0.0, reset_gap_s=60.0), {"motion": inputs["motion"]}, least=19 * 3),
+            Case(cls(epoch_s=3.0, min_s=0.0, reset_gap_s=60.0), {"motion": inputs["motion"]}, least=19 * 3),
         ]
 
     def _motion(self, chunk: Chunk, sums: Samples, counts: Samples, lost: int) -> tuple[list[tuple[str, Chunk]], Rows]:
@@ -261,7 +259,7 @@ class Activity(Operator[ActivityState]):
         while s.begin != NEVER and until >= s.begin + s.epoch_ns - 1:
             if not s.slots.counts.any():
                 s.silent += 1
-            if s.silent > s.most_silent:
+            if s.silent > s.max_silent:
                 self._forget()
                 return True
             self._epoch(made)

@@ -57,7 +57,7 @@ class BedRegion(Operator[BedState]):
     """Mean depths of blocks in, one event per sleeper out: the rectangle of pixels where that sleeper lies.
 
     With `regions` they are reported with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest plateau
-    from `lowest_mm` to `highest_mm` above the floor, if it covers `least_share` of the frame and most of its own rectangle; less a block
+    from `lowest_mm` to `highest_mm` above the floor, if it covers `min_share` of the frame and most of its own rectangle; less a block
     at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. Several sleepers
     share it side by side, in the order of their names from the left; from the top, where it looks half as wide again as it is long, for
     then the camera hangs beside it. That suits a camera that looks down on a bed and some floor; anything else has to be set. Until one
@@ -82,7 +82,7 @@ class BedRegion(Operator[BedState]):
     learn_s: float = param(30.0, above=0.0, help="how long to observe before searching for the bed")
     lowest_mm: float = param(200.0, above=0.0, help="how high above the floor a bed is at least")
     highest_mm: float = param(1200.0, above=0.0, help="and, with the sleeper in it, at most")
-    least_share: float = param(0.08, above=0.0, most=1.0, help="how much of the frame it covers at least")
+    min_share: float = param(0.08, above=0.0, most=1.0, help="how much of the frame it covers at least")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -200,7 +200,7 @@ class BedRegion(Operator[BedState]):
         parts, count = label((above >= self.lowest_mm) & (above <= self.highest_mm))
         sizes = np.bincount(parts.ravel(), minlength=count + 1)
         sizes[0] = 0
-        if sizes.max() < self.least_share * depth.size:
+        if sizes.max() < self.min_share * depth.size:
             return None
         bed = parts == int(sizes.argmax())
         top, bottom = _extent(bed.sum(axis=1))

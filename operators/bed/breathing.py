@@ -66,7 +66,7 @@ class Breathing(Operator[BreathingState]):
     """Mean depths of blocks in; per epoch and sleeper an event with the breath's rate, as far as it can be seen.
 
     rate        breaths per minute in the epoch; NaN where it is not known: the sleeper moved, was not in bed (with `bed` connected) or not
-                seen, or the confidence is below `least_confidence`
+                seen, or the confidence is below `min_confidence`
     confidence  0 to 1: how far the chest stands out of noise; noise alone seldom reaches one half
     coverage    share of the night's epochs in bed, up to this one, that have a rate; a night ends with 4 h out of bed
 
@@ -86,7 +86,7 @@ class Breathing(Operator[BreathingState]):
     epoch_s: float = param(30.0, least=10.0, most=300.0, help="length of an epoch, at whole multiples since 1970")
     cell_blocks: int = param(0, least=0, help="side of a cell in blocks; 0: about 27 cells in a row of the frame")
     still_mm_s: float = param(20.0, above=0.0, help="faster than this is movement, not breath")
-    least_confidence: float = param(0.5, least=0.0, most=1.0, help="below this no rate is reported")
+    min_confidence: float = param(0.5, least=0.0, most=1.0, help="below this no rate is reported")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["blocks"]
@@ -187,7 +187,7 @@ class Breathing(Operator[BreathingState]):
         for k, (rate, confidence, _) in enumerate(s.cells.breaths(s.epoch, s.regions)):
             if s.spoilt[k]:
                 rate, confidence = math.nan, 0.0
-            rate = rate if confidence >= self.least_confidence else math.nan
+            rate = rate if confidence >= self.min_confidence else math.nan
             s.epochs[k] += not s.spoilt[k]
             s.known[k] += rate == rate
             coverage = float(s.known[k] / s.epochs[k]) if s.epochs[k] else 0.0

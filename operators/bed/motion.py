@@ -78,7 +78,7 @@ class Motion(Operator[MotionState]):
 
     Only pixels that were measured in both frames count: the thesis has no such mask, but what flickers between measured and not is most
     of what changes in real frames. (The remarks on 4.1 and 4.2 are exchanged in print.) N is NaN: in the first frame, after a gap of more
-    than `longest_gap_s`, in the first frame under another basis (`scene`), where less than `least_valid` of the region was measured in
+    than `longest_gap_s`, in the first frame under another basis (`scene`), where less than `min_valid` of the region was measured in
     both frames, while the region is not known, and where no pixel of the whole frame has changed, for it repeats the last one.
 
     The state holds a frame. So that no checkpoint holds a raw one, frames that were not simplified are refused, unless `raw`.
@@ -92,7 +92,7 @@ class Motion(Operator[MotionState]):
     outputs: ClassVar[tuple[str, ...]] = ("out", "far", "map")
 
     epoch_s: float = param(30.0, above=0.0, help="length of an epoch; epochs begin at whole multiples of it since 1970")
-    least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's pixels that must be measured")
+    min_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's pixels that must be measured")
     step_s: float = param(
         0.5, least=0.0, help="how far apart the frames are that are compared; 0: every frame with the next"
     )
@@ -225,9 +225,9 @@ class Motion(Operator[MotionState]):
             s.begin = time // s.epoch_ns * s.epoch_ns
         if s.time != NEVER and time - s.time <= s.gap_ns:
             if s.known:
-                distance(frame, s.older, s.regions, self.least_valid, far)
+                distance(frame, s.older, s.regions, self.min_valid, far)
             s.older[:], s.known = s.last, True
-            if change(frame, s.last, s.regions, s.edges, self.least_valid, s.sums, s.seen, out):
+            if change(frame, s.last, s.regions, s.edges, self.min_valid, s.sums, s.seen, out):
                 s.frames += 1
             else:
                 np.subtract(s.seen, 1, out=s.seen, where=(frame != 0) & (s.seen > 0))

@@ -33,8 +33,8 @@ class OccupancyLimits:
     """What is decided by; see the parameters of `operators.bed.presence.Presence`. 0 of `vacant_s`, `unsure_s`, `odd_s`: never."""
 
     rise_mm: float
-    least_share: float
-    least_valid: float
+    min_share: float
+    min_valid: float
     hold_s: float
     learn_s: float
     still_mm: float
@@ -129,14 +129,14 @@ class Occupancy:
     def _judge(self, k: int, end: int, events: Rows) -> None:
         """What the newest second says."""
         raised, _, measured = self.beds.seen_now[k]
-        if measured < self.limits.least_valid:
+        if measured < self.limits.min_valid:
             self.wanted[k] = self.state[k]
             return
         self.seen[k] = end
         says = int(self.state[k])
-        if raised >= self.limits.least_share:
+        if raised >= self.limits.min_share:
             says = IN
-        elif raised < AGAIN * self.limits.least_share:
+        elif raised < AGAIN * self.limits.min_share:
             says = OUT
         self._count_bodies(k, float(raised), end, events)
         doubt = int(self.doubt[k])
@@ -180,7 +180,7 @@ class Occupancy:
     def _judge_breath(self, k: int, end: int, events: Rows) -> None:
         """What the newest window of breath says: that nobody breathes any more in a heap, or that somebody does after all."""
         beds = self.beds
-        if not beds.known(k) and not somebody(beds.above_mattress(k), self.limits.rise_mm, self.limits.least_share):
+        if not beds.known(k) and not somebody(beds.above_mattress(k), self.limits.rise_mm, self.limits.min_share):
             return  # nothing there may be a body: the stretch decides
         if self.state[k] == IN and self.watch.silent(k):
             self.doubt[k] = STILL
@@ -194,15 +194,15 @@ class Occupancy:
             return False
         if not self.beds.known(k):
             return bool(self.lay[k])
-        return bool(self.beds.seen_now[k, 0] >= AGAIN * self.limits.least_share)
+        return bool(self.beds.seen_now[k, 0] >= AGAIN * self.limits.min_share)
 
     def _judge_stretch(self, k: int, end: int, events: Rows) -> None:
         """What the stretch that is over says: learn the empty bed, or note that somebody is there."""
         beds, limits = self.beds, self.limits
         known = beds.known(k)
-        lies = not known and beds.lies(k, limits.rise_mm, limits.least_share)
+        lies = not known and beds.lies(k, limits.rise_mm, limits.min_share)
         moving = beds.moving(k, limits.still_mm, limits.rise_mm, anywhere=known)
-        if moving < 0 or beds.seen_now[k, 2] < limits.least_valid:
+        if moving < 0 or beds.seen_now[k, 2] < limits.min_valid:
             self.still[k] = 0
             return
         if self.doubt[k] == DARK:

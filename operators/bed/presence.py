@@ -36,7 +36,7 @@ class Presence(Operator[PresenceState]):
             `hold_s` later); `height`, `raised` as at the decision
     height  (sleepers,) float64, mm, once a second: how high the region is above the empty bed, on average; NaN: not known
 
-    In bed: a share of `least_share` of the region is more than `rise_mm` above the empty bed; out: less than 0.7 of that share.
+    In bed: a share of `min_share` of the region is more than `rise_mm` above the empty bed; out: less than 0.7 of that share.
     The empty bed is learned where nothing moves for `learn_s`, breath included, and the bed is not known to be occupied; and learned again
     whenever that is so again (a blanket lies differently, the camera has sunk). Nothing moves: hardly any block of the region varies,
     second by second, by more than `still_mm` and three times what blocks of the frame vary by on average.
@@ -65,7 +65,7 @@ class Presence(Operator[PresenceState]):
     outputs: ClassVar[tuple[str, ...]] = ("out", "height")
 
     rise_mm: float = param(80.0, above=0.0, help="how far above the empty bed a body is")
-    least_share: float = param(0.15, above=0.0, most=1.0, help="how much of the region a body covers at least")
+    min_share: float = param(0.15, above=0.0, most=1.0, help="how much of the region a body covers at least")
     hold_s: float = param(5.0, least=0.0, help="for how long the depth must say so before it is believed")
     learn_s: float = param(60.0, least=4.0, help="stillness of this length shows the empty bed")
     still_mm: float = param(1.0, above=0.0, help="a block that varies less does not move")
@@ -75,7 +75,7 @@ class Presence(Operator[PresenceState]):
     )
     odd_min: float = param(10.0, least=0.0, help="unknown after this long with movement in an empty region; 0: never")
     unseen_s: float = param(30.0, above=0.0, help="not seen for this long: unknown")
-    least_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's blocks that must be measured")
+    min_valid: float = param(0.2, above=0.0, most=1.0, help="share of the region's blocks that must be measured")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["blocks"]
@@ -83,7 +83,7 @@ class Presence(Operator[PresenceState]):
         check_view(specs)
         sleepers = sleepers_of(specs)
         limits = OccupancyLimits(
-            self.rise_mm, self.least_share, self.least_valid, self.hold_s, self.learn_s, self.still_mm,
+            self.rise_mm, self.min_share, self.min_valid, self.hold_s, self.learn_s, self.still_mm,
             60.0 * self.vacant_min, 60 * self.unsure_min, 60 * self.odd_min, self.unseen_s,
         )  # fmt: skip
         longest_s = max(limits.vacant_s, limits.unsure_s, limits.odd_s, BLIND_S, CROWD_S, self.hold_s, self.unseen_s)

@@ -31,9 +31,9 @@ class ActivityLimits:
     """
 
     sigmas: float
-    least_rise: float
-    least_s: float
-    least_seen: float
+    min_rise: float
+    min_s: float
+    min_seen: float
     crosstalk_ratio: float
     unasked: int
 
@@ -135,7 +135,7 @@ class SleeperActivity:
                 self.empty.learn(k, finite)
         if self.in_bed.count[k] < LEAST_EPOCHS:
             return math.nan
-        limit = self.in_bed.threshold(k, self.limits.sigmas, self.limits.least_rise)
+        limit = self.in_bed.threshold(k, self.limits.sigmas, self.limits.min_rise)
         if self.empty.count[k] < LEAST_EPOCHS or self.in_bed.steady(k, STEADY, STEADY_EPOCHS):
             return limit
         return min(limit, RESTLESS * self.empty.level_of(k))
@@ -161,7 +161,7 @@ class SleeperActivity:
         elif self.out[k]:
             activity = 1.0
         else:
-            activity = own_s / (float((there & ~theirs).sum()) * slot_s) if not own_s < self.limits.least_s else 0.0
+            activity = own_s / (float((there & ~theirs).sum()) * slot_s) if not own_s < self.limits.min_s else 0.0
         return moved_s, crosstalk, activity, why
 
     def _lit(self, k: int, change: Samples, far: Samples, moving: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -174,21 +174,21 @@ class SleeperActivity:
 
     def _why(self, k: int, seen: float, light: float, moved_s: float, own_s: float) -> str:
         """Why the epoch cannot be judged; "": it can. `own_s` of the movement is surely this sleeper's."""
-        least_seen, least_s = self.limits.least_seen, self.limits.least_s
+        min_seen, min_s = self.limits.min_seen, self.limits.min_s
         known = moved_s == moved_s
         self.moved = self.moved and not (known and self.in_bed.count.min() >= LEAST_EPOCHS)
         if self.jumped:
             return "dark" if self.dark else "camera"
         if self.bed[k] == UNKNOWN:
-            unknown = "camera" if self.moved else "unseen" if seen < least_seen else "learning"
+            unknown = "camera" if self.moved else "unseen" if seen < min_seen else "learning"
             return str(WHYS[self.why[k]]) or unknown
-        if seen < least_seen:
+        if seen < min_seen:
             return "unseen"
         if self.out[k]:
             return ""
         if not known:
             return "camera" if self.moved else "learning"
-        if light > 1 - least_seen:
+        if light > 1 - min_seen:
             return "light"
-        shared = bool(self.crowded[k]) or own_s < least_s
-        return "body" if shared and moved_s >= least_s else ""
+        shared = bool(self.crowded[k]) or own_s < min_s
+        return "body" if shared and moved_s >= min_s else ""

@@ -71,7 +71,7 @@ class BackgroundState:
 class Background(Operator[BackgroundState]):
     """Depth in, the same with 0 wherever it is background out, and an event whenever the floor was found.
 
-    out    (height, width) uint16: depth in mm of what stands before the background by more than `least_mm` and `least_share` of the depth
+    out    (height, width) uint16: depth in mm of what stands before the background by more than `min_mm` and `min_share` of the depth
     floor  an event: the plane's normal (x right, y down, z away from the camera) towards the room, the camera's height above it in m, and
            the share of the background that lies on it
 
@@ -92,8 +92,8 @@ class Background(Operator[BackgroundState]):
     references: ClassVar[str] = "floor: RANSAC, Fischler and Bolles 1981, then least squares"
 
     learn_s: float = param(1.0, above=0.0, help="how long to observe before anything counts as foreground")
-    least_mm: float = param(60.0, above=0.0, help="how far before the background something must stand")
-    least_share: float = param(
+    min_mm: float = param(60.0, above=0.0, help="how far before the background something must stand")
+    min_share: float = param(
         0.03, above=0.0, most=0.5, help="and at least this share of the background's depth: noise grows with it"
     )
     absorb_s: float = param(120.0, above=0.0, help="what has not moved for so long is background")
@@ -140,7 +140,7 @@ class Background(Operator[BackgroundState]):
         for i, time in enumerate(chunk.time.tolist()):
             frame = chunk.data[i]
             self._watch(frame)
-            cut_out(frame, s.behind, s.streak, s.front, self.least_mm, self.least_share, absorb, out[i])
+            cut_out(frame, s.behind, s.streak, s.front, self.min_mm, self.min_share, absorb, out[i])
             s.frames += 1
             if s.again and s.frames == s.enough:
                 self._settle(frame, out[i])
@@ -165,7 +165,7 @@ class Background(Operator[BackgroundState]):
         s = self.state
         if not s.again and s.frames < s.enough:
             return
-        farther, nearer = disagreement(frame, s.behind, self.least_mm, self.least_share)
+        farther, nearer = disagreement(frame, s.behind, self.min_mm, self.min_share)
         if s.frames < s.enough:
             if not self._back(frame) and farther + nearer > AT_REST:
                 self._begin()
@@ -200,7 +200,7 @@ class Background(Operator[BackgroundState]):
         s = self.state
         if not s.earlier.any():
             return False
-        farther, nearer = disagreement(frame, s.earlier, self.least_mm, self.least_share)
+        farther, nearer = disagreement(frame, s.earlier, self.min_mm, self.min_share)
         if farther > self.moved_share / 2 or nearer > MOSTLY:
             return False
         s.behind[:], s.streak[:], s.front[:], s.earlier[:] = s.earlier, 0, 0.0, 0.0
@@ -221,7 +221,7 @@ class Background(Operator[BackgroundState]):
         if s.turned:
             log.warning("the depth camera was turned over: no person is found until it is turned back")
         if cut:
-            cut_out(frame, s.behind, s.streak, s.front, self.least_mm, self.least_share, 1 << 30, out)
+            cut_out(frame, s.behind, s.streak, s.front, self.min_mm, self.min_share, 1 << 30, out)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

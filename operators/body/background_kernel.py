@@ -18,8 +18,8 @@ def cut_out(
     behind: NDArray[np.float32],
     streak: NDArray[np.int32],
     front: NDArray[np.float32],
-    least_mm: float,
-    least_share: float,
+    min_mm: float,
+    min_share: float,
     absorb: int,
     out: NDArray[np.uint16],
 ) -> float:
@@ -38,7 +38,7 @@ def cut_out(
             if b == 0:
                 behind[y, x] = d
                 continue
-            room = np.float32(max(least_mm, least_share * b))
+            room = np.float32(max(min_mm, min_share * b))
             if d > b + room:
                 farther += 1
                 streak[y, x] = max(streak[y, x], 0) + 1

@@ -21,7 +21,7 @@ ALIKE = 1.5
 
 @kernel(nogil=True)
 def disagreement(
-    frame: NDArray[np.uint16], behind: NDArray[np.float32], least_mm: float, least_share: float
+    frame: NDArray[np.uint16], behind: NDArray[np.float32], min_mm: float, min_share: float
 ) -> tuple[float, float]:
     """Which shares of the measured pixels of `frame` (h, w) lie farther away than `behind` (h, w), and nearer, by more than noise."""
     seen, farther, nearer = 0, 0, 0
@@ -31,7 +31,7 @@ def disagreement(
             if d == 0 or b == 0:
                 continue
             seen += 1
-            room = max(least_mm, least_share * b)
+            room = max(min_mm, min_share * b)
             farther += d > b + room
             nearer += d < b - room
     return (farther / seen, nearer / seen) if seen else (0.0, 0.0)

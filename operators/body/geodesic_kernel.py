@@ -60,7 +60,7 @@ def middle_of(points: Samples, middle: Samples) -> int:
 
 @kernel(nogil=True)
 def extrema_of(
-    points: Samples, source: int, apart_m: float, distance: Samples, parent: Times, found: Times, least_m: float
+    points: Samples, source: int, apart_m: float, distance: Samples, parent: Times, found: Times, min_m: float
 ) -> int:
     """The pixels farthest along the surface, one after the other, into `found` (k,); how many there are.
 
@@ -68,7 +68,7 @@ def extrema_of(
     distance  (h * w,)   from the nearest source along the surface (m), inf where that cannot be reached
     parent    (h * w,)   the pixel before each on its way; -1: a source, or not reached
 
-    One nearer than `least_m` to all sources ends the search. A pixel's way is that of the round in which it was found. What is cut off
+    One nearer than `min_m` to all sources ends the search. A pixel's way is that of the round in which it was found. What is cut off
     by something nearer, as a head behind a raised arm, hangs together with the rest by the shortest way across.
     """
     distance[:], parent[:] = math.inf, -1
@@ -83,7 +83,7 @@ def extrema_of(
         for i in range(distance.shape[0]):
             if math.isfinite(distance[i]) and (far < 0 or distance[i] > distance[far]):
                 far = i
-        if far < 0 or distance[far] < least_m:
+        if far < 0 or distance[far] < min_m:
             parent[:] = way
             return int(k)
         found[k] = far

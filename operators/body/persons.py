@@ -54,7 +54,7 @@ class Persons(Operator[PersonsState]):
     labels   (height, width) uint8: number of the person at each pixel, 0 elsewhere
     persons  an event per person and frame: number, box, pixels, place
 
-    Neighbouring pixels that differ by less than `apart_mm` are one thing; things of less than `least_share` of the frame are ignored,
+    Neighbouring pixels that differ by less than `apart_mm` are one thing; things of less than `min_share` of the frame are ignored,
     unless they touch somebody's box: a forearm before the trunk. People keep their numbers by the pixels they share with the frame before,
     and where they touch, each pixel is the nearer one's. What reaches to the image's border and is half a metre before where the person
     just was, a table that is pushed into the picture, is not the person's but the next one's. Whoever passes before somebody keeps apart
@@ -73,7 +73,7 @@ class Persons(Operator[PersonsState]):
     apart_mm: float = param(
         120.0, above=0.0, help="neighbouring pixels with a larger difference in depth belong to two things"
     )
-    least_share: float = param(0.01, above=0.0, most=1.0, help="how much of the frame a person covers at least")
+    min_share: float = param(0.01, above=0.0, most=1.0, help="how much of the frame a person covers at least")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -113,7 +113,7 @@ class Persons(Operator[PersonsState]):
         s = self.state
         parts, count = np.zeros(frame.shape, np.int32), 0
         sizes, middles = np.zeros(MOST_PARTS + 1, np.int64), np.zeros((MOST_PARTS + 1, 3))
-        least = max(8, round(self.least_share * frame.size))
+        least = max(8, round(self.min_share * frame.size))
         count = components(frame, self.apart_mm, max(4, least // 12), parts, sizes, middles)
         shared, nearer, farther = np.zeros((3, count + 1, self.most + 1), np.int64)
         overlaps(parts, s.labels, shared)

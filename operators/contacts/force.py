@@ -122,8 +122,8 @@ class ForceContacts(_Press):
     after a gap, is no event. Decided `debounce_s` after the onset.
 
     With `zero: swing` force counts from what the plate shows without the foot: tared by the first 0.15 s that are flat and within
-    `most_offset_n` of 0, then by every swing (the lowest flat 0.15 s of the latest 4 s, in which the load changes by five thresholds)
-    within `most_offset_n` of the zero so far. So offset and drift do not matter. Where the plate's noise, measured there, is above a
+    `max_offset_n` of 0, then by every swing (the lowest flat 0.15 s of the latest 4 s, in which the load changes by five thresholds)
+    within `max_offset_n` of the zero so far. So offset and drift do not matter. Where the plate's noise, measured there, is above a
     quarter of `threshold_n`, a contact begins at four of its standard deviations, and the hysteresis grows alike. `other`, the other
     belt's channels of the same stream, takes its cross-talk out: the part of its load that this plate shows in swing, by least squares
     with a fading memory. `zero: none` takes the force as it comes.
@@ -139,7 +139,7 @@ class ForceContacts(_Press):
     channels: tuple[str, ...] = param((), help="the channels to add up; empty: all but `other`")
     other: tuple[str, ...] = param((), help="the other belt's channels, with the cross-talk to remove")
     zero: Literal["swing", "none"] = param("swing", help="what force counts from: the plate's reading in swing, or 0")
-    most_offset_n: float = param(
+    max_offset_n: float = param(
         100.0, above=0.0, help="a reading that is further from the zero so far is a load, not an offset"
     )
     inverted: bool = param(False, help="the plate shows pressure as a negative force")
@@ -173,7 +173,7 @@ class ForceContacts(_Press):
         load, other = load * s.sign, other * s.sign
         if self.zero == "swing":
             starts = np.diff(time, prepend=time[0] if s.last == NEVER else s.last) > s.gap_ns
-            zeroed(load, other, starts, s.block, self.threshold_n, self.most_offset_n, s.zero, load)
+            zeroed(load, other, starts, s.block, self.threshold_n, self.max_offset_n, s.zero, load)
         return self.run(time, load, self.threshold_n, self.hysteresis_n, found)
 
     @classmethod

@@ -82,7 +82,7 @@ class ForcePlate(SampleWise[ForcePlateState]):
     origin_m: tuple[float, ...] = param(
         (0.0, 0.0, 0.0), help="the true origin, from the middle of the surface: x, y, z in m"
     )
-    least_force_N: float = param(20.0, least=0, help="below it there is no centre of pressure")
+    min_force_N: float = param(20.0, least=0, help="below it there is no centre of pressure")
 
     kernel = plate
 
@@ -103,7 +103,7 @@ class ForcePlate(SampleWise[ForcePlateState]):
             np.array(self.matrix, np.float64),
             np.array(self.zero_v or (0.0,) * n, np.float64),
             np.array(self.origin_m, np.float64),
-            np.array([self.least_force_N]),
+            np.array([self.min_force_N]),
         )
 
     def gives(self, spec: StreamSpec) -> StreamSpec:
@@ -120,7 +120,5 @@ class ForcePlate(SampleWise[ForcePlateState]):
         inputs = {"in": (spec, grid(1000.0, 200), rng.normal(size=(200, 7)))}
         return [
             Case(cls(names, matrix, zero_v=(0.1,) * 6, origin_m=(0.0, 0.0, -0.04)), inputs, least=200),
-            Case(
-                cls(names[:1], ((1.0,), (0.0,), (50.0,), (0.0,), (2.0,), (0.0,)), least_force_N=0.0), inputs, least=200
-            ),
+            Case(cls(names[:1], ((1.0,), (0.0,), (50.0,), (0.0,), (2.0,), (0.0,)), min_force_N=0.0), inputs, least=200),
         ]

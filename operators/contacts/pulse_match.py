@@ -31,17 +31,17 @@ class PulseMatch:
         return np.asarray(seconds + self.offset_s + 1e-6 * self.drift_ppm * (seconds - self.start_s))
 
 
-def match_pulses(first: Samples, second: Samples, within_s: float = 0.02, most_ppm: float = 500.0) -> PulseMatch:
+def match_pulses(first: Samples, second: Samples, within_s: float = 0.02, max_ppm: float = 500.0) -> PulseMatch:
     """Match two trains of pulses (n,), (m,) in s, each on its own clock; pulses may be missing or extra in either.
 
     The offset is that by which most pulses fall within `within_s` of one of the other train, tried from every pair of the first pulses; the
     line through the matched pairs is then fitted by least squares, three times. Raises KinegraphError where fewer than three pulses match,
-    where another offset matches as many (pulses at even intervals say nothing of which is which), or the drift is beyond `most_ppm`.
+    where another offset matches as many (pulses at even intervals say nothing of which is which), or the drift is beyond `max_ppm`.
     """
     first, second = np.sort(np.asarray(first, float)), np.sort(np.asarray(second, float))
     if min(len(first), len(second)) < LEAST:
         raise KinegraphError(f"{len(first)} and {len(second)} pulses: three in each are needed")
-    wide = within_s + 1e-6 * most_ppm * float(np.ptp(second))
+    wide = within_s + 1e-6 * max_ppm * float(np.ptp(second))
     offsets = np.unique(np.round((first[:, None] - second[None, :64]).ravel(), 6))
     counts = np.array([_within(first, second + offset, wide) for offset in offsets.tolist()])
     best = float(offsets[counts == counts.max()][(counts == counts.max()).sum() // 2])
@@ -64,10 +64,8 @@ def match_pulses(first: Samples, second: Samples, within_s: float = 0.02, most_p
             raise KinegraphError(f"only {int(good.sum())} pulses match: are these the same pulses?")
         slope, offset = (float(v) for v in np.polyfit(second[good] - start, (first[near] - second)[good], 1))
     rest = (first[near] - second - offset - slope * (second - start))[good]
-    if abs(slope) > 1e-6 * most_ppm:
-        raise KinegraphError(
-            f"the clocks would drift by {1e6 * slope:.0f} ppm; more than {most_ppm:g} is not a clock's"
-        )
+    if abs(slope) > 1e-6 * max_ppm:
+        raise KinegraphError(f"the clocks would drift by {1e6 * slope:.0f} ppm; more than {max_ppm:g} is not a clock's")
     rms, worst = float(np.sqrt((rest**2).mean())), float(np.abs(rest).max())
     return PulseMatch(offset, 1e6 * slope, start, 1000 * rms, 1000 * worst, int(good.sum()), len(first), len(second))
 

@@ -62,7 +62,7 @@ class Cycles(Operator[CyclesState]):
     - has a gap in signal or contacts inside ("gap"; gaps up to `gap_s` are interpolated), begins before the signal has settled
       ("settling"), begins before the signal did or was reported more than `late_s` after it ended ("incomplete");
     - holds two lift-offs that are further apart than a tenth of it ("order": a touch-down between them was missed), or stands for less
-      than `least_stance_pct` or more than `most_stance_pct` of it ("stance"). Of lift-offs close together the last counts; without one the
+      than `min_stance_pct` or more than `max_stance_pct` of it ("stance"). Of lift-offs close together the last counts; without one the
       stance is not known, and the cycle counts;
     - differs from the median duration of the last 11 cycles by more than `off_median` of it ("irregular");
     - holds NaN ("missing"): in every channel, or with `missing: cycle` in any. With `missing: muscle` the other channels are used, and
@@ -93,12 +93,8 @@ class Cycles(Operator[CyclesState]):
     off_median: float = param(
         0.5, least=0.0, help="rejected beyond this part of the recent median duration; 0: not asked"
     )
-    least_stance_pct: float = param(
-        15.0, least=0.0, most=100.0, help="rejected if the foot stands for less of the cycle"
-    )
-    most_stance_pct: float = param(
-        90.0, least=0.0, most=100.0, help="rejected if the foot stands for more of the cycle"
-    )
+    min_stance_pct: float = param(15.0, least=0.0, most=100.0, help="rejected if the foot stands for less of the cycle")
+    max_stance_pct: float = param(90.0, least=0.0, most=100.0, help="rejected if the foot stands for more of the cycle")
     gap_s: float = param(0.05, least=0.0, help="a longer gap inside rejects the cycle, a shorter one is interpolated")
     late_s: float = param(1.0, least=0.0, help="how long after it happened a touch-down may be reported")
     missing: Literal["muscle", "cycle"] = param(
@@ -237,7 +233,7 @@ class Cycles(Operator[CyclesState]):
             return "gap" if s.broken else incomplete
         if out_of_order(lifts, duration):
             return "order"
-        if stance < self.least_stance_pct or stance > self.most_stance_pct:
+        if stance < self.min_stance_pct or stance > self.max_stance_pct:
             return "stance"
         return "irregular" if s.durations.irregular(duration, self.off_median) else ""
 

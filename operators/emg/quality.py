@@ -70,7 +70,7 @@ class QualityState:
     counts (3, c)              over all windows: samples clipped, flat, missing; `windows` in all
     rails (2, c)               lowest and highest value so far
     rest (c,)                  baseline noise at rest; NaN: not known
-    floor (c,)                 the lowest noise of a window so far; most_noise: the limit, in the signal's unit
+    floor (c,)                 the lowest noise of a window so far; max_noise: the limit, in the signal's unit
     """
 
     window: Samples
@@ -85,7 +85,7 @@ class QualityState:
     rails: Samples
     rest: Samples
     floor: Samples
-    most_noise: float
+    max_noise: float
     last: int
     limit: int
     names: list[str]
@@ -108,8 +108,8 @@ class SignalQuality(Operator[QualityState]):
     `flag` is good, doubtful or bad for this window, `session_flag` for all windows so far (powers and samples are added up, noise and
     contrast averaged); `reason` names the worst. The limits (doubtful, bad): missing 1 %, 20 %; flat 2 %, 20 %; clipped 0.1 %, 1 %;
     hum 15 %, 30 %; artefact 60 %, 90 % (an envelope's high-pass removes most of it, so it takes much to be called bad). "baseline noise":
-    for the session, from the third window on, if the quietest window's noise is above `most_noise` (doubtful) or three times that (bad),
-    if contrast is below `least_contrast` (doubtful; a muscle that never works looks the same), or if noise is above three times that of the
+    for the session, from the third window on, if the quietest window's noise is above `max_noise` (doubtful) or three times that (bad),
+    if contrast is below `min_contrast` (doubtful; a muscle that never works looks the same), or if noise is above three times that of the
     reference `rest` (doubtful; a file by `kinegraph emg calibrate rest`); for a window, if its noise is above these limits and at least
     three (six) times that of the quietest.
     The limits are ours, from recordings with known faults; SENIAM and the thesis give no limits. Whether cycles repeat is another question,
@@ -127,8 +127,8 @@ class SignalQuality(Operator[QualityState]):
     full_scale: float = param(
         0.0, least=0.0, help="the largest absolute value the amplifier can give, in the signal's unit; 0: unknown"
     )
-    least_contrast: float = param(2.0, least=1.0, help="less is baseline noise")
-    most_noise: float = param(
+    min_contrast: float = param(2.0, least=1.0, help="less is baseline noise")
+    max_noise: float = param(
         0.0, least=0.0, help="more is baseline noise, in the signal's unit; 0: 10 uV, where the unit is one of voltage"
     )
     rest: str = param("", help="a rest reference, for its baseline noise")
@@ -196,7 +196,7 @@ class SignalQuality(Operator[QualityState]):
     def _most_noise(self, spec: StreamSpec) -> float:
         """The limit in the signal's unit; infinite where that is no voltage and no limit is given."""
         unit = spec.units[0] if len(set(spec.units)) == 1 else ""
-        return self.most_noise or MOST_NOISE_UV * MICROVOLTS.get(unit, np.inf)
+        return self.max_noise or MOST_NOISE_UV * MICROVOLTS.get(unit, np.inf)
 
     def _judge(self) -> Array:
         """One row per channel on the full window, which is also added to the session."""
@@ -217,7 +217,7 @@ class SignalQuality(Operator[QualityState]):
         measures = _measures(sums, counts / n, 1)
         for name, values in measures.items():
             rows[name] = values
-        noise, limit = measures["noise"], s.most_noise
+        noise, limit = measures["noise"], s.max_noise
         s.floor = np.fmin(s.floor, np.where(noise > 0, noise, np.inf))
         limits = [np.maximum(times * limit, k * s.floor) for times, k in zip((1.0, BAD_NOISE), RISEN, strict=True)]
         rows["flag"], rows["reason"] = _noisy(*_verdicts(measures), noise > limits[0], noise > limits[1])
@@ -225,7 +225,7 @@ class SignalQuality(Operator[QualityState]):
         flag, reason = _verdicts(session)
         if s.windows >= ENOUGH:
             still = np.where(np.isfinite(s.floor), s.floor, 0.0)
-            doubtful = (still > limit) | (session["noise"] > 3 * s.rest) | (session["contrast"] < self.least_contrast)
+            doubtful = (still > limit) | (session["noise"] > 3 * s.rest) | (session["contrast"] < self.min_contrast)
             flag, reason = _noisy(flag, reason, doubtful, still > BAD_NOISE * limit)
         rows["session_flag"], rows["session_reason"] = flag, reason
         return rows

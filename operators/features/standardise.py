@@ -53,7 +53,7 @@ def quantile(ranked: Samples, count: int, share: float) -> float:
 def standardise(
     x: Samples,
     most: int,
-    least_share: float,
+    min_share: float,
     ring: Samples,
     ranked: Samples,
     places: Times,
@@ -79,7 +79,7 @@ def standardise(
             largest = max(largest, line[1, c])
         for c in range(x.shape[1]):
             v = out[i, c] = finite(x[i, c])
-            spread = max(line[1, c], least_share * largest)
+            spread = max(line[1, c], min_share * largest)
             if v == v:
                 out[i, c] = (v - line[0, c]) / spread if spread > 0.0 else 0.0
 
@@ -101,7 +101,7 @@ class Standardise(SampleWise[StandardiseState]):
     Median and quartiles are those of the newest `window_s` of good values, so single outliers do not count. Statistics that go on running
     let features drift, and two poses that were alike are no longer: with `freeze_s` they stay what they were then.
 
-    least_share  no channel's spread counts as less than this share of the largest: one that is silent is not blown up to noise
+    min_share  no channel's spread counts as less than this share of the largest: one that is silent is not blown up to noise
 
     >>> Standardise(window_s=1.0)(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), rate_hz=10).round(2)
     array([0.  , 1.35, 1.35, 1.35, 4.72])
@@ -109,7 +109,7 @@ class Standardise(SampleWise[StandardiseState]):
 
     window_s: float = param(30.0, above=0.0, help="what median and spread are taken from")
     freeze_s: float = param(0.0, least=0.0, help="after this long they stay as they are; 0: never")
-    least_share: float = param(0.05, least=0.0, most=1.0, help="a channel's least spread, as a share of the largest")
+    min_share: float = param(0.05, least=0.0, most=1.0, help="a channel's least spread, as a share of the largest")
     kernel = standardise
 
     def begin(self, spec: StreamSpec) -> StandardiseState:

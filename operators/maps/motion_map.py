@@ -104,8 +104,8 @@ def look_for_plane(
 
 
 @kernel
-def turn(axes: Samples, target: Samples, most_rad: float, pairs: Samples, small: Samples) -> None:
-    """Turn `axes` (k, c) towards the plane of `target` (k, c), along the shortest way, no axis by more than `most_rad`.
+def turn(axes: Samples, target: Samples, max_rad: float, pairs: Samples, small: Samples) -> None:
+    """Turn `axes` (k, c) towards the plane of `target` (k, c), along the shortest way, no axis by more than `max_rad`.
 
     Arrived, they are the axes of that plane nearest to those before: what the orthogonal Procrustes problem gives.
 
@@ -147,7 +147,7 @@ def turn(axes: Samples, target: Samples, most_rad: float, pairs: Samples, small:
         sine = take_away(ways[i], ours, i + 1)
         rest[i] = math.atan2(sine, cosine)
         widest = max(widest, rest[i])
-    share = 1.0 if widest <= most_rad else most_rad / widest
+    share = 1.0 if widest <= max_rad else max_rad / widest
     for i in range(count):
         c_i, s_i = math.cos(share * rest[i]), math.sin(share * rest[i])
         for c in range(width):
@@ -189,7 +189,7 @@ def place(
     used: Times,
     least: float,
     every: int,
-    most_rad: float,
+    max_rad: float,
     frames: Times,
     frame: Samples,
     mean: Samples,
@@ -224,8 +224,8 @@ def place(
             total += covariance[c, c]
         learned = frames[0] >= every
         if whole and frames[0] > every:
-            turn(axes, target, most_rad, pairs, small)
-            follow(centre, mean, most_rad * math.sqrt(total))
+            turn(axes, target, max_rad, pairs, small)
+            follow(centre, mean, max_rad * math.sqrt(total))
         for k in range(axes.shape[0]):
             out[i, k] = math.nan
             explained[i, k] = math.nan
@@ -246,7 +246,7 @@ class MotionMapState:
     used          (c,)     which of the input's numbers count
     least                  the least that a frame counts in mean and covariance
     every                  frames after which the plane is learned again
-    most_rad               the most that axes turn from one frame to the next
+    max_rad               the most that axes turn from one frame to the next
     frames        (1,)     how many frames were learned
     mean, centre  (c,)     of all frames; of the picture
     covariance    (c, c)
@@ -258,7 +258,7 @@ class MotionMapState:
     used: Times
     least: float
     every: int
-    most_rad: float
+    max_rad: float
     frames: Times
     mean: Samples
     centre: Samples
@@ -323,7 +323,7 @@ class MotionMap(Operator[MotionMapState]):
             used=used,
             least=1.0 / (1 + samples_in("memory_s", self.memory_s, rate_hz)) if self.memory_s else 0.0,
             every=max(2, samples_in("learn_s", self.learn_s, rate_hz)),
-            most_rad=float(np.radians(self.rotation_deg_per_s)) / rate_hz,
+            max_rad=float(np.radians(self.rotation_deg_per_s)) / rate_hz,
             frames=np.zeros(1, np.int64),
             mean=np.zeros(c),
             centre=np.zeros(c),
@@ -354,7 +354,7 @@ class MotionMap(Operator[MotionMapState]):
         if n:
             x = np.ascontiguousarray(chunk.data, np.float64)
             place(
-                x, s.used, s.least, s.every, s.most_rad, s.frames, s.frame, s.mean, s.centre, s.covariance, s.part, s.room,
+                x, s.used, s.least, s.every, s.max_rad, s.frames, s.frame, s.mean, s.centre, s.covariance, s.part, s.room,
                 s.lines, s.vectors, s.axes, s.target, s.pairs, s.small, out, explained,
             )  # fmt: skip
         return [

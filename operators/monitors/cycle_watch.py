@@ -56,8 +56,8 @@ class CycleWatch(Operator[CycleWatchState]):
 
     no contact            no cycle has ended for the time of `silent_cycles` of the latest 11 (before the first: for `first_s`)
     cadence               the latest 3 cycles' median is `off_pace` times that of the 11 before them, or as much shorter
-    uneven                cycles differ from their neighbours by more than `most_uneven` of their duration (median of the latest 11)
-    cycles too few        accepted cycles cover less than `least_covered` of the session, from its 30th second on
+    uneven                cycles differ from their neighbours by more than `max_uneven` of their duration (median of the latest 11)
+    cycles too few        accepted cycles cover less than `min_covered` of the session, from its 30th second on
 
     Of several limbs (a field `limb` in `closed`), `operators.monitors.limb_watch.LimbWatch` watches each.
 
@@ -73,8 +73,8 @@ class CycleWatch(Operator[CycleWatchState]):
     silent_cycles: float = param(2.0, above=1.0, most=20.0, help="this many cycles' time without a contact is an alarm")
     first_s: float = param(10.0, above=0.0, help="the same before the first cycle")
     off_pace: float = param(1.6, above=1.0, help="cycles this many times longer or shorter than before are an alarm")
-    least_covered: float = param(0.7, least=0.0, most=1.0, help="the part of a session that cycles must cover")
-    most_uneven: float = param(
+    min_covered: float = param(0.7, least=0.0, most=1.0, help="the part of a session that cycles must cover")
+    max_uneven: float = param(
         0.1, above=0.0, help="the part of its duration by which a cycle may differ from the one before it"
     )
     subject: str = param("contacts", help="what the alarms are about, where there are several")
@@ -210,11 +210,11 @@ class CycleWatch(Operator[CycleWatchState]):
             return
         in_turn = np.roll(s.spans, -(s.walked % RECENT))
         uneven = float(np.median(np.abs(np.diff(in_turn))) / np.median(in_turn))
-        if uneven > self.most_uneven and not s.on[UNEVEN]:
+        if uneven > self.max_uneven and not s.on[UNEVEN]:
             s.on[UNEVEN] = 1
             text = f"cycles differ by {100 * uneven:.0f} % from one to the next"
             found.append((stamp, self._alarm(stamp, ON, text, UNEVEN)))
-        elif s.on[UNEVEN] and uneven < self.most_uneven / 1.5:
+        elif s.on[UNEVEN] and uneven < self.max_uneven / 1.5:
             s.on[UNEVEN] = 0
             found.append((stamp, self._alarm(stamp, OVER, "cycles differ", UNEVEN)))
 
@@ -224,11 +224,11 @@ class CycleWatch(Operator[CycleWatchState]):
         if elapsed < 30 * NS:
             return
         share = s.covered / elapsed
-        if share < self.least_covered and not s.on[SPARSE]:
+        if share < self.min_covered and not s.on[SPARSE]:
             s.on[SPARSE] = 1
             text = f"cycles cover {100 * share:.0f} % of {elapsed / NS:.0f} s"
             found.append((stamp, self._alarm(stamp, ON, text, SPARSE)))
-        elif s.on[SPARSE] and share > (1 + self.least_covered) / 2:
+        elif s.on[SPARSE] and share > (1 + self.min_covered) / 2:
             s.on[SPARSE] = 0
             found.append((stamp, self._alarm(stamp, OVER, "cycles cover too little", SPARSE)))
 

@@ -40,14 +40,14 @@ class ElectrodeWatch(Operator[ElectrodeState]):
     """Signal quality (`operators.emg.quality.SignalQuality`) in, an alarm per channel out as soon as it is not good, with what to do.
 
     A bad window is an alarm at once, a doubtful one if the next is not good either: with windows of 1 s a fault is reported within 2 s. The
-    alarm is over after `calm` good windows in a row. Stamped like the window.
+    alarm is over after `settle` good windows in a row. Stamped like the window.
 
     >>> given, made = tried(ElectrodeWatch)
     >>> len(given["in"]), made[["subject", "state", "what"]][0].item()
     (60, ('TA', 'on', 'flat line'))
     """
 
-    calm: int = param(2, least=1, most=60, help="good windows in a row after which an alarm is over")
+    settle: int = param(2, least=1, most=60, help="good windows in a row after which an alarm is over")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -90,7 +90,7 @@ class ElectrodeWatch(Operator[ElectrodeState]):
         i = s.names.index(name)
         s.good[i] = s.good[i] + 1 if flag == "good" else 0
         s.trouble[i] = 0 if flag == "good" else s.trouble[i] + 1
-        if s.on[i] and s.good[i] >= self.calm:
+        if s.on[i] and s.good[i] >= self.settle:
             s.on[i] = 0
             return onset, name, OVER, s.reasons[i], ""
         new = flag == "bad" or s.trouble[i] >= 2

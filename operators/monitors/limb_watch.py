@@ -33,8 +33,8 @@ class LimbWatch(OnePerLimb[CycleWatch]):
     silent_cycles: float = param(2.0, above=1.0, most=20.0, help="this many cycles' time without a contact is an alarm")
     first_s: float = param(10.0, above=0.0, help="the same before the first cycle")
     off_pace: float = param(1.6, above=1.0, help="cycles this many times longer or shorter than before are an alarm")
-    least_covered: float = param(0.7, least=0.0, most=1.0, help="the part of a session that cycles must cover")
-    most_uneven: float = param(0.1, above=0.0, help="the part by which a cycle may differ from the one before it")
+    min_covered: float = param(0.7, least=0.0, most=1.0, help="the part of a session that cycles must cover")
+    max_uneven: float = param(0.1, above=0.0, help="the part by which a cycle may differ from the one before it")
 
     def open(self, specs: Specs) -> Specs:
         closed = specs["closed"]

@@ -58,7 +58,7 @@ class PatternWatch(Operator[PatternWatchState]):
     """Raises an alarm for each muscle with the curve of another of the same limb, or with another size.
 
     A muscle's pattern is the mean of its first `first` cycles. It has become another's where the mean of its latest `latest` cycles
-    correlates by `clearly` more with the other's pattern than with its own, and by 0.7 at least, in `cycles` cycles in a row; the alarm is
+    correlates by `margin` more with the other's pattern than with its own, and by 0.7 at least, in `cycles` cycles in a row; the alarm is
     over when it has been its own again for as long. It takes about `latest` / 2 + `cycles` cycles. Muscles that are alike from the
     start stay alike. A muscle has another size where the mean of its latest cycles' curves is `times` as high as that of its first
     ones or more, or as much lower, for as many cycles in a row; over below half of that change. Its rest, that curve's 10th
@@ -81,7 +81,7 @@ class PatternWatch(Operator[PatternWatchState]):
         1.4, above=1.0, help="a curve this many times as high as at first, or as much lower, raises an alarm"
     )
     times_rest: float = param(2.0, above=1.0, help="the same for its rest, between bursts")
-    clearly: float = param(0.3, above=0.0, most=2.0, help="by how much the other's pattern correlates better")
+    margin: float = param(0.3, above=0.0, most=2.0, help="by how much the other's pattern correlates better")
 
     def open(self, specs: Specs) -> Specs:
         spec = check_cycles(specs)
@@ -151,7 +151,7 @@ class PatternWatch(Operator[PatternWatchState]):
         like = likeness(s.recent[:, :, ready].mean(axis=0), s.first[:, ready])
         for k, i in enumerate(ready.tolist()):
             best = int(like[k].argmax())
-            other = like[k, best] > max(0.7, like[k, k] + self.clearly)
+            other = like[k, best] > max(0.7, like[k, k] + self.margin)
             self._tell(found, when, i, int(ready[best]) if other else -1)
 
     def _begin_again(self, found: FoundAlarms, when: tuple[int, int], mine: Array) -> None:

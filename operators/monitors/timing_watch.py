@@ -82,9 +82,9 @@ class TimingWatch(Operator[TimingWatchState]):
                       lag with the highest circular correlation, to a part of a point, the median of the limb's muscles; its mean over
                       the latest `latest` cycles is `off_pct` of the cycle or more, and `sds` times its own standard error. Over below
                       half of that. One muscle of several that works later is no alarm; for a single muscle it is unknown which one moved.
-    half a cycle off  a limb's muscles (two or more that the textbook knows, by their names) fit it better by `clearly` half a cycle later,
+    half a cycle off  a limb's muscles (two or more that the textbook knows, by their names) fit it better by `margin` half a cycle later,
                       in the mean of their correlations: the contacts may be the other leg's
-    another muscle's  a muscle fits the textbook's pattern of another better than its own, by `clearly` + 0.2, and by 0.6 at least
+    another muscle's  a muscle fits the textbook's pattern of another better than its own, by `margin` + 0.2, and by 0.6 at least
 
     Both latter use the mean of the latest `latest` cycles, from the third on, so they hold from the start; they do not exist with more than
     two limbs, nor for a channel named after the other side than the contacts' (RTA in the left leg's cycles), or no muscle that the
@@ -111,7 +111,7 @@ class TimingWatch(Operator[TimingWatchState]):
     muscles: dict[str, str] | None = param(
         None, help="which muscle a channel shows, where its name does not say so: {EMG1: TA, EMG2: SO}"
     )
-    clearly: float = param(
+    margin: float = param(
         0.8,
         above=0.0,
         most=2.0,
@@ -171,7 +171,7 @@ class TimingWatch(Operator[TimingWatchState]):
             s.recent[s.seen[i] % self.latest, :, i] = curve[:, i]
             s.seen[i] += 1
         self._textbook(found, when, limb, mine)
-        if half < self.clearly and not s.limb[limb, HALF, 0]:
+        if half < self.margin and not s.limb[limb, HALF, 0]:
             self._lag(found, when, limb, mine, curve)
 
     def _half(self, mine: Array, curve: Samples) -> float:
@@ -232,7 +232,7 @@ class TimingWatch(Operator[TimingWatchState]):
         curves = np.stack([s.recent[: min(self.latest, s.seen[i]), :, i].mean(axis=0) for i in known], axis=1)
         like = likeness(curves, s.patterns[:, known])
         own = like.diagonal()
-        half = int(half_later(curves, s.patterns[:, known]) >= self.clearly)
+        half = int(half_later(curves, s.patterns[:, known]) >= self.margin)
         scores = s.past.latest(limb)[1][:, 0]
         self._contacts(
             found,
@@ -245,7 +245,7 @@ class TimingWatch(Operator[TimingWatchState]):
         )
         for k, i in enumerate(known):
             best = int(like[k].argmax())
-            other = not s.limb[limb, HALF, 0] and not half and like[k, best] >= max(ALIKE, own[k] + self.clearly + 0.2)
+            other = not s.limb[limb, HALF, 0] and not half and like[k, best] >= max(ALIKE, own[k] + self.margin + 0.2)
             name = s.known[known[best]] if other else ""
             text = f"its curve is rather that of {name}", "its curve is another muscle's", OTHER_MUSCLE
             self._report(found, when, s.muscle[i], int(known[best]) + 1 if other else 0, (s.names[i], *text))

@@ -24,7 +24,7 @@ MOVEMENT, STILL, RESCORED, UNSEEN, GAPS, START = range(1, len(CAUSES))
 class EpochScores:
     """The newest `n` epochs, oldest first; a place that no epoch has taken yet has onset NEVER.
 
-    rule, rescore, least_seen  how they are scored
+    rule, rescore, min_seen  how they are scored
     activity (n,) counts or motion; NaN: not seen. raw (n,) the state by the score alone, score (n,) that score
     cause (n,) of CAUSES, as the score alone has it; mover (n,) onset of the epoch whose movement adds most to the score, 0: no movement;
     weight (n,) that epoch's share of all weight, adds (n,) how much of the score is its
@@ -33,7 +33,7 @@ class EpochScores:
 
     rule: ScoringRule
     rescore: bool
-    least_seen: float
+    min_seen: float
     epoch_ns: int
     onset: Times
     activity: Samples
@@ -47,10 +47,10 @@ class EpochScores:
     waiting: int
 
     @staticmethod
-    def empty(rule: ScoringRule, rescore: bool, least_seen: float, epoch_ns: int, n: int) -> EpochScores:
+    def empty(rule: ScoringRule, rescore: bool, min_seen: float, epoch_ns: int, n: int) -> EpochScores:
         missing, zeros = [np.full(n, np.nan) for _ in range(4)], [np.zeros(n, np.int8) for _ in range(2)]
         return EpochScores(
-            rule, rescore, least_seen, epoch_ns, np.full(n, NEVER), missing[0], zeros[0], missing[1], zeros[1],
+            rule, rescore, min_seen, epoch_ns, np.full(n, NEVER), missing[0], zeros[0], missing[1], zeros[1],
             np.zeros(n, np.int64), missing[2], missing[3], 0, 0,
         )  # fmt: skip
 
@@ -114,8 +114,8 @@ class EpochScores:
         absent = self.onset[first : place + 1] == NEVER
         if self.rule.before == "zero":
             around[: len(absent)][absent] = 0.0
-        score, asleep = self.rule.score(around, self.least_seen)
-        mover, self.weight[place], self.adds[place] = self.rule.strongest(around, self.least_seen)
+        score, asleep = self.rule.score(around, self.min_seen)
+        mover, self.weight[place], self.adds[place] = self.rule.strongest(around, self.min_seen)
         self.mover[place] = self.onset[first + mover] if mover >= 0 else 0
         if score != score or (self.rule.before == "unknown" and absent.any()):
             self.score[place], self.raw[place] = np.nan, UNKNOWN

@@ -46,7 +46,7 @@ class EpochsState:
     sums: Samples
     begin: int
     silent: int
-    most_silent: int
+    max_silent: int
     needed: float
     lost: int
 
@@ -59,7 +59,7 @@ class Epochs(Operator[EpochsState]):
              minute, put one of 10 s (sum) before one of 60 s (maximum)
 
     Epochs begin at whole multiples of `epoch_s` since 1970-01-01 UTC, plus `offset_s`, whatever the first sample's stamp. NaN: fewer than
-    `least_seen` of the samples that the rate promises were there (irregular input: of those that came). A silence gives one
+    `min_seen` of the samples that the rate promises were there (irregular input: of those that came). A silence gives one
     NaN per epoch, up to `reset_gap_s`; beyond, nothing is emitted until samples come again. Delay: one epoch.
 
     >>> Epochs(epoch_s=2.0, measure="mean")(np.array([1.0, 3.0, 5.0, 7.0]), rate_hz=1, time=np.arange(4) * 10**9)
@@ -69,7 +69,7 @@ class Epochs(Operator[EpochsState]):
     inputs = {"in": Input(rows=True)}
     epoch_s: float = param(30.0, above=0.0, help="length of an epoch")
     measure: Literal["sum", "mean", "maximum"] = param("sum", help="what becomes of an epoch's samples")
-    least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the samples that must have been seen")
+    min_seen: float = param(0.5, above=0.0, most=1.0, help="share of the samples that must have been seen")
     offset_s: float = param(0.0, help="how far the grid is from whole epochs since 1970")
     reset_gap_s: float = reset_gap(43_200.0, "a longer silence is not filled with unknown epochs")
 
@@ -84,7 +84,7 @@ class Epochs(Operator[EpochsState]):
         epoch_ns = round(self.epoch_s * NS)
         most = int(self.reset_gap_s * NS) // epoch_ns
         sums = np.zeros((4, spec.shape[0]))
-        needed = max(1.0, self.least_seen * expected - 1e-6)
+        needed = max(1.0, self.min_seen * expected - 1e-6)
         self.set_state(
             EpochsState(epoch_ns, round(self.offset_s * NS), sums, NEVER, 0, most, needed, 0), delay_s=self.epoch_s
         )
@@ -156,7 +156,7 @@ class Epochs(Operator[EpochsState]):
         while s.begin != NEVER and until >= s.begin + s.epoch_ns - 1:
             if not s.sums[2].any():
                 s.silent += 1
-            if s.silent > s.most_silent:
+            if s.silent > s.max_silent:
                 s.begin, s.silent = NEVER, 0
                 return True
             made.append((s.begin, self._row()))
@@ -176,7 +176,7 @@ class Epochs(Operator[EpochsState]):
         row: Samples = highest.copy() if self.measure == "maximum" else total.copy()
         if self.measure == "mean":
             row /= np.maximum(count, 1.0)
-        row[(count < s.needed) | (count < self.least_seen * came)] = np.nan
+        row[(count < s.needed) | (count < self.min_seen * came)] = np.nan
         s.sums[:] = 0.0
         return row
 

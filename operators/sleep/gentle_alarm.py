@@ -37,7 +37,7 @@ class GentleAlarmState:
 class GentleAlarm(Operator[GentleAlarmState]):
     """Epochs of `operators.bed.activity.Activity` (`activity.epochs`) in; one event a day out.
 
-    The first epoch with `least_s` of movement that is known in the last `window_min` before `at` gives the alarm (`movement`); without
+    The first epoch with `min_s` of movement that is known in the last `window_min` before `at` gives the alarm (`movement`); without
     one it comes at the set time (`clock`), seen or not. Never before the window, never after the set time, once a day. Whether somebody
     who moves sleeps lightly is not known: movement is all that is looked at. What is done with the event is an automation's part; it does
     not replace an alarm clock, for it comes only while everything runs.
@@ -56,7 +56,7 @@ class GentleAlarm(Operator[GentleAlarmState]):
     at: str = param("07:00", help="the time to be up at, HH:MM")
     timezone: str = param("UTC", help="in which it is meant, e.g. Europe/Berlin")
     window_min: float = param(30.0, above=0.0, most=120.0, help="so long before a movement may give the alarm")
-    least_s: float = param(2.0, above=0.0, most=30.0, help="how much movement in an epoch")
+    min_s: float = param(2.0, above=0.0, most=30.0, help="how much movement in an epoch")
     days: str = param("mon,tue,wed,thu,fri,sat,sun", help="on which mornings")
     sleeper: str = param("", help="the sleeper, if `epochs` are of several")
 
@@ -84,7 +84,7 @@ class GentleAlarm(Operator[GentleAlarmState]):
             row = chunk.data[k]
             mine = self.sleeper in ("", str(row["sleeper"]))
             near = s.at - round(self.window_min * 60 * NS) <= stamp < s.at
-            if mine and near and not s.rung and float(row["moved_s"]) >= self.least_s:
+            if mine and near and not s.rung and float(row["moved_s"]) >= self.min_s:
                 s.rung = True
                 made.append((stamp, s.at, "movement"))
         if chunk.until != FOREVER:
@@ -101,7 +101,7 @@ class GentleAlarm(Operator[GentleAlarmState]):
         epochs = (StreamSpec((), dtype, units=("ns", "", "s")), onset + 1200 * NS, rows)
         return [
             Case(cls(window_min=60.0), {"epochs": epochs}, least=2),
-            Case(cls(at="02:30", timezone="Europe/Berlin", least_s=9.0), {"epochs": epochs}, least=2),
+            Case(cls(at="02:30", timezone="Europe/Berlin", min_s=9.0), {"epochs": epochs}, least=2),
         ]
 
     def _pass(self, until: int, made: list[tuple[int, int, str]]) -> None:

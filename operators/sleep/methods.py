@@ -105,7 +105,7 @@ class ScoringRule:
     def future(self) -> int:
         return len(self.weights) - self.past - 1
 
-    def score(self, around: Samples, least_seen: float) -> tuple[float, bool]:
+    def score(self, around: Samples, min_seen: float) -> tuple[float, bool]:
         """Score of the middle epoch, and whether it is sleep; NaN where it, or too much around it, was not seen.
 
         around  (past + 1 + future,)  activity from the oldest epoch on; NaN: not seen, and left out of the weighing
@@ -113,7 +113,7 @@ class ScoringRule:
         seen = ~np.isnan(around)
         total = float(self.weights.sum())
         known = float(self.weights[seen].sum())
-        if not seen[self.past] or known < least_seen * total:
+        if not seen[self.past] or known < min_seen * total:
             return np.nan, False
         if self.sadeh:
             return self._sadeh(around, seen)
@@ -125,24 +125,21 @@ class ScoringRule:
         awake = here >= limit if self.wake_at_limit else here > limit
         return here / (self.unit * known), not awake
 
-    def strongest(self, around: Samples, least_seen: float) -> tuple[int, float, float]:
+    def strongest(self, around: Samples, min_seen: float) -> tuple[int, float, float]:
         """The epoch whose movement moves the score most towards wake: its place in `around`, its weight, what it adds to the score.
 
         The weight is its share of all weight that was seen; of two that add the same the nearer one counts. Sadeh weighs no single epoch:
         the weight is NaN, and what is added is the score less what it would be without that movement. Place -1, and NaN: there is no
         movement, or no score.
         """
-        score, _ = self.score(around, least_seen)
+        score, _ = self.score(around, min_seen)
         seen = ~np.isnan(around)
         if score != score or not (around[seen] > 0).any():
             return -1, np.nan, np.nan
         known = float(self.weights[seen].sum())
         if self.sadeh:
             adds = np.array(
-                [
-                    score - self.score(np.where(one, 0.0, around), least_seen)[0]
-                    for one in np.eye(len(around), dtype=bool)
-                ]
+                [score - self.score(np.where(one, 0.0, around), min_seen)[0] for one in np.eye(len(around), dtype=bool)]
             )
         else:
             adds = np.zeros(len(around))

@@ -36,7 +36,7 @@ class SleepPeriods(Operator[PeriodsState]):
     """Scored epochs in (of SleepScorer; only final ones count), an event per period of sleep: onset and end, minutes, epochs with counts.
 
     A period begins with the first of `bedtime_min` minutes of sleep in a row, and ends before the first of `wake_min` minutes of wake in a
-    row. Kept are those from `shortest_min` to `longest_min` with at least `least_moving` epochs that have counts (fewer: the device was
+    row. Kept are those from `shortest_min` to `longest_min` with at least `min_moving` epochs that have counts (fewer: the device was
     not worn). Decided with the last of those minutes of wake; a period that the recording breaks off is not reported. Unknown epochs
     count as neither, and break both rows. Shown equal to ActiLife on its own example, at three settings.
 
@@ -49,7 +49,7 @@ class SleepPeriods(Operator[PeriodsState]):
     wake_min: float = param(10.0, above=0.0, help="this much wake in a row ends it")
     shortest_min: float = param(160.0, least=0.0, help="shorter periods are passed over")
     longest_min: float = param(1440.0, above=0.0, help="longer periods are passed over")
-    least_moving: int = param(0, least=0, help="periods with fewer epochs that have counts are passed over")
+    min_moving: int = param(0, least=0, help="periods with fewer epochs that have counts are passed over")
 
     def open(self, specs: Specs) -> Specs:
         spec = scored(specs["in"])
@@ -92,7 +92,7 @@ class SleepPeriods(Operator[PeriodsState]):
         minutes = (s.since - s.onset) / (60 * NS)
         found = (s.onset, s.since, minutes, s.inside)
         s.onset = NEVER
-        return found if self.shortest_min <= minutes <= self.longest_min and s.inside >= self.least_moving else None
+        return found if self.shortest_min <= minutes <= self.longest_min and s.inside >= self.min_moving else None
 
 
 def scored(spec: StreamSpec, port: str = "in") -> StreamSpec:

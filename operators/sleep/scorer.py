@@ -59,7 +59,7 @@ class ScorerState:
 
     scores: EpochScores
     channel: int
-    most_silent: int
+    max_silent: int
     silent: int
     lost: int
     calibrated: bool
@@ -96,7 +96,7 @@ class SleepScorer(Operator[ScorerState]):
     becomes such counts. `thesis` takes any movement: an epoch counts as active above `active_above`; its weights are a Gaussian about the
     epoch (sigma 2 epochs), summing to 1, wake from 0.3 on. The thesis gives neither number, and prints the comparison the wrong way round.
 
-    Where a neighbour was not seen, its weight is left out of the sum and of the threshold, down to `least_seen` of all weight. What stands
+    Where a neighbour was not seen, its weight is left out of the sum and of the threshold, down to `min_seen` of all weight. What stands
     before the first epoch: zero counts for ActiLife's methods; what was seen otherwise; under Oakley the epoch is unknown (Actiware). After
     the last one no movement is assumed. A silence gives unknown epochs up to `reset_gap_s`; beyond, scoring starts again.
 
@@ -117,7 +117,7 @@ class SleepScorer(Operator[ScorerState]):
     rescore: bool = param(False, help="Webster's rules: short sleep after long wake is wake")
     calibration: str = param("", help="a file that turns the input's motion into the method's counts")
     channel: str | int | None = param(None, help="name, or number from 0; may be left out if there is only one")
-    least_seen: float = param(0.5, above=0.0, most=1.0, help="share of the method's weight that must have been seen")
+    min_seen: float = param(0.5, above=0.0, most=1.0, help="share of the method's weight that must have been seen")
     reset_gap_s: float = reset_gap(43_200.0, "a longer silence is not filled with unknown epochs")
 
     def open(self, specs: Specs) -> Specs:
@@ -146,7 +146,7 @@ class SleepScorer(Operator[ScorerState]):
         n = made.past + 1 + made.future + 2 * reach
         self.set_state(
             ScorerState(
-                EpochScores.empty(made, self.rescore, self.least_seen, spec.period_ns, n), channel,
+                EpochScores.empty(made, self.rescore, self.min_seen, spec.period_ns, n), channel,
                 int(self.reset_gap_s * NS) // spec.period_ns, 0, 0,
                 used is not None, used.gain if used else 1.0, used.offset if used else 0.0,
                 spec.channels[channel] if spec.channels else "", False,
@@ -227,7 +227,7 @@ class SleepScorer(Operator[ScorerState]):
         s = self.state
         while s.scores.newest != NEVER and until >= (due := s.scores.newest + s.scores.epoch_ns * 7 // 4):
             s.silent += 1
-            if s.silent > s.most_silent:
+            if s.silent > s.max_silent:
                 self._finish(made, stamps)
             else:
                 self._epoch(s.scores.newest + s.scores.epoch_ns, np.nan, due, made, stamps)

@@ -17,7 +17,7 @@ from kinegraph.stream.engine.flow.promise import END, MOST_LOST, PromiseError, i
 from kinegraph.stream.engine.flow.queues import BoundedQueue, ReadyQueue
 from kinegraph.stream.errors import DeviceError, KinegraphError, RunError, blaming, explain, nearest
 from kinegraph.stream.graph import Edge, Node, policy_of
-from kinegraph.stream.graph.backpressure import most_bytes
+from kinegraph.stream.graph.backpressure import max_bytes
 from kinegraph.stream.source import Source
 from kinegraph.stream.system.clock import SessionClock
 
@@ -163,7 +163,7 @@ class SourceSupervisor:
             self.source: Source = node.part.unopened()
             self.live = self.source.live
         options, policy = node.options, policy_of(node, live=self.live)
-        bound = most_bytes(policy, live=self.live)
+        bound = max_bytes(policy, live=self.live)
         self.queues = {
             output: BoundedQueue(str(Edge(node.name, output)), ready, options.queue, policy, bound=bound)
             for output in node.specs

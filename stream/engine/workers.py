@@ -19,7 +19,7 @@ from kinegraph.stream.engine.flow.queues import BoundedQueue, Drops, ReadyQueue
 from kinegraph.stream.engine.pipeline import Stage
 from kinegraph.stream.errors import RunError
 from kinegraph.stream.graph import Edge, policy_of
-from kinegraph.stream.graph.backpressure import Policy, most_bytes
+from kinegraph.stream.graph.backpressure import Policy, max_bytes
 
 UNLIMITED = 1 << 62
 
@@ -88,7 +88,7 @@ class Workers:
                 options.queue,
                 policy,
                 lambda i, n: self._on_drop(queue=name, first=i, samples=n),
-                most_bytes(policy, live=not self._waits),
+                max_bytes(policy, live=not self._waits),
             )
         else:  # back home: never waits, for the graph's thread may itself be waiting for this worker
             queue = BoundedQueue(name, self._home, UNLIMITED, "block")

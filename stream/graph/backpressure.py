@@ -35,7 +35,7 @@ LIVE_BYTES, OTHER_BYTES, LEAST_CHUNKS = 16 << 20, 4 << 20, 8
 take more memory than all that works on them. Nothing is lost by waiting; a queue that drops or fails has its count of chunks alone."""
 
 
-def most_bytes(policy: Policy, *, live: bool) -> int:
+def max_bytes(policy: Policy, *, live: bool) -> int:
     """The bytes at which a queue of this policy is full; 0: only its chunks are counted."""
     if policy != "block":
         return 0
@@ -43,7 +43,7 @@ def most_bytes(policy: Policy, *, live: bool) -> int:
 
 
 def held_bytes(chunks: int, chunk_bytes: int, bound: int) -> int:
-    """The most that a queue for this number of chunks, each of this size, can hold with a bound by `most_bytes`."""
+    """The most that a queue for this number of chunks, each of this size, can hold with a bound by `max_bytes`."""
     return chunks * chunk_bytes if not bound else min(chunks * chunk_bytes, max(bound, LEAST_CHUNKS * chunk_bytes))
 
 

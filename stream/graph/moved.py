@@ -130,6 +130,28 @@ MOVED = {
 """The dotted path in graphs up to November 2026, and the one of today."""
 
 
+PARAMETERS = {
+    "calm": "settle",
+    "clearly": "margin",
+    "heard_s": "input_lag_s",
+    **{f"most_{name}": f"max_{name}" for name in ("bytes", "kmh", "nodes", "noise", "offset_n", "stance_pct", "sweeps", "uneven")},
+    **{
+        f"least_{name}": f"min_{name}"
+        for name in (
+            "confidence", "contrast", "covered", "depth", "force_N", "height", "mm", "moving", "pct", "rise", "s", "seen", "share",
+            "stance_pct", "valid",
+        )
+    },
+}  # fmt: skip
+"""A parameter's name in graphs up to November 2026, and the one of today."""
+
+
 def today(use: str) -> str:
     """The path of today for a class that has moved; any other path as it is."""
     return MOVED.get(use, use)
+
+
+def parameter_today(part: type, name: str) -> str:
+    """The name of today for a parameter of a class that has been renamed; any other name as it is."""
+    fields = getattr(part, "__dataclass_fields__", {})
+    return PARAMETERS.get(name, name) if name not in fields and PARAMETERS.get(name) in fields else name

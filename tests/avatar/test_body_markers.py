@@ -316,8 +316,8 @@ def test_an_upside_down_camera_is_not_believed_blindly() -> None:
 
 
 @needs_data
-@pytest.mark.parametrize(("name", "most_cm"), [("jacks_front", 4.5), ("hop_side", 10.0)])
-def test_markers_on_rendered_clips(name: str, most_cm: float) -> None:
+@pytest.mark.parametrize(("name", "max_cm"), [("jacks_front", 4.5), ("hop_side", 10.0)])
+def test_markers_on_rendered_clips(name: str, max_cm: float) -> None:
     pose_network_or_skip()
     from bench.body import SHOWN, Chain, recorded
     from bench.body_render import Clip
@@ -326,6 +326,6 @@ def test_markers_on_rendered_clips(name: str, most_cm: float) -> None:
     clip = Clip(whole.depth[:40], whole.infrared[:40], whole.empty, whole.truth[:40])
     markers, confidence = (made[:, SHOWN] for made in Chain(depth_alone=False).run(clip))
     off = 100 * np.linalg.norm(markers - clip.truth, axis=2)
-    assert np.nanmean(off) < most_cm
+    assert np.nanmean(off) < max_cm
     wrong = off > 25
     assert not wrong.any() or (confidence[wrong] < 0.5).mean() >= 0.9

@@ -82,7 +82,7 @@ def hold_everywhere(pose: Samples, joints: Samples) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "most_cm"),
+    ("names", "max_cm"),
     [
         (USUAL, 1.5),
         ((*USUAL, "toe_l", "toe_r", "neck", "root", "hand_l", "hand_r", "nose"), 1.5),
@@ -92,10 +92,10 @@ def hold_everywhere(pose: Samples, joints: Samples) -> None:
     ],
     ids=["13", "20", "no hips", "9", "5"],
 )
-def test_any_markers_give_a_pose_that_fits_them(names: tuple[str, ...], most_cm: float) -> None:
+def test_any_markers_give_a_pose_that_fits_them(names: tuple[str, ...], max_cm: float) -> None:
     pose, joints, quality = played(marks(names), names)
     hold_everywhere(pose, joints)
-    assert 100 * np.linalg.norm(joints[60:] - JOINTS[60:], axis=-1).mean() < most_cm
+    assert 100 * np.linalg.norm(joints[60:] - JOINTS[60:], axis=-1).mean() < max_cm
     assert not quality[60:, :QUALITY].any()
 
 

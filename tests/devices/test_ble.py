@@ -218,7 +218,7 @@ def test_a_treadmill_is_read_and_nothing_is_written() -> None:
 
 
 def test_a_treadmill_is_set_within_its_limits_and_stopped_at_the_end() -> None:
-    source = FtmsTreadmill(device="Treadmill 7", control=True, most_kmh=6.0)
+    source = FtmsTreadmill(device="Treadmill 7", control=True, max_kmh=6.0)
     with radio() as air:
         belt = FtmsBelt()
         air.put(belt)
@@ -316,7 +316,7 @@ def test_without_a_radio_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_treadmill_obeys_a_graph(tmp_path: Path) -> None:
     graph = load_text(
         "nodes:\n"
-        "  belt: {use: devices.fitness_treadmill.FtmsTreadmill, device: Treadmill 7, control: true, most_kmh: 8}\n"
+        "  belt: {use: devices.fitness_treadmill.FtmsTreadmill, device: Treadmill 7, control: true, max_kmh: 8}\n"
         "  wish: {use: stream.manual.Value, initial: 1.5, unit: m/s}\n"
         "  set: {use: devices.fitness_treadmill.control.TreadmillControl, device: Treadmill 7, from: {speed: wish}}\n"
     )

@@ -79,7 +79,7 @@ class Script:
 
 
 def delivered(
-    packet: Callable[[int, int], bytes], rate_hz: float, ppm: float, least_s: float, bursts: bool
+    packet: Callable[[int, int], bytes], rate_hz: float, ppm: float, min_s: float, bursts: bool
 ) -> list[tuple[int, bytes]]:
     """(arrival, bytes): `packet` gives the packet of a number and of the true time in counts. Nothing overtakes anything."""
     random = np.random.default_rng(round(rate_hz))
@@ -87,10 +87,10 @@ def delivered(
     if bursts:
         fetched = np.cumsum(random.uniform(JITTER_S / 2, JITTER_S, round(2.2 * SECONDS / JITTER_S)))
         fetched = np.maximum.accumulate(fetched + STALL_S * (random.uniform(size=len(fetched)) < STALLED))
-        arrival = fetched[np.searchsorted(fetched, true + least_s)]
+        arrival = fetched[np.searchsorted(fetched, true + min_s)]
     else:
         stall = STALL_S * (random.uniform(size=len(true)) < STALLED)
-        arrival = np.maximum.accumulate(true + least_s + random.uniform(0, JITTER_S, len(true)) + stall)
+        arrival = np.maximum.accumulate(true + min_s + random.uniform(0, JITTER_S, len(true)) + stall)
     pieces: dict[int, bytes] = {}
     for i, (at, t) in enumerate(zip(np.round(arrival * NS).astype(np.int64).tolist(), true.tolist(), strict=True)):
         pieces[at + NS] = pieces.get(at + NS, b"") + packet(i, round(t * COUNTS_PER_S))

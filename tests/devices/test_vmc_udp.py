@@ -64,7 +64,7 @@ def sent(
 
 @pytest.mark.parametrize("most", [1300, 65000])
 def test_python_osc_receives_what_was_posed(receiver: socket.socket, most: int) -> None:
-    datagrams = sent(receiver, POSES[:4], most_bytes=most)
+    datagrams = sent(receiver, POSES[:4], max_bytes=most)
     assert (len(datagrams) > 4) == (most == 1300)
     bones = [p for one in datagrams for a, p in one if a == "/VMC/Ext/Bone/Pos"]
     assert [p[0] for p in bones] == [*BONES] * 4
@@ -81,11 +81,11 @@ def test_python_osc_receives_what_was_posed(receiver: socket.socket, most: int) 
 def test_what_is_not_finite_is_not_sent(receiver: socket.socket) -> None:
     broken = POSES[:3].copy()
     broken[1, 7] = np.nan
-    assert len([1 for one in sent(receiver, broken[1:2], most_bytes=65000) for _ in one]) == 0
+    assert len([1 for one in sent(receiver, broken[1:2], max_bytes=65000) for _ in one]) == 0
 
 
 def test_blend_shapes_go_with_the_next_pose(receiver: socket.socket) -> None:
-    outlet = VmcOutlet(port=receiver.getsockname()[1], most_bytes=65000)
+    outlet = VmcOutlet(port=receiver.getsockname()[1], max_bytes=65000)
     outlet.open({"pose": TREE.spec(30.0), "blends": StreamSpec((2,), channels=("Joy", "A"))})
     outlet.begin()
     outlet.process("blends", Chunk(np.array([1]), np.array([[0.25, np.nan]]), 1))
@@ -109,7 +109,7 @@ def test_another_skeleton_is_turned_into_vrms(receiver: socket.socket) -> None:
             hanging[b] = [0.0, -sign * TREE.offsets[b, 0], 0.0]
     other = JointTree(joints, TREE.parents, hanging)
     rest = np.concatenate([TREE.offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], len(BONES))])
-    (message,) = sent(receiver, rest[None], other, most_bytes=65000)
+    (message,) = sent(receiver, rest[None], other, max_bytes=65000)
     turns = {p[0]: p[4:] for a, p in message if a == "/VMC/Ext/Bone/Pos"}
     left = Rotation.from_quat(
         [turns["LeftUpperArm"][0], -turns["LeftUpperArm"][1], -turns["LeftUpperArm"][2], turns["LeftUpperArm"][3]]
@@ -132,7 +132,7 @@ def test_what_cannot_be_sent_is_refused(tmp_path: Path) -> None:
 def test_an_avatar_gives_the_lengths_that_are_sent(receiver: socket.socket) -> None:
     assert DATA is not None
     avatar = DATA / "body" / "human_female.vrm"
-    (message,) = sent(receiver, POSES[:1], avatar=avatar, most_bytes=65000)
+    (message,) = sent(receiver, POSES[:1], avatar=avatar, max_bytes=65000)
     bones = {p[0]: p[1:4] for a, p in message if a == "/VMC/Ext/Bone/Pos"}
     body = np.load(DATA / "body" / "human_female.npz")
     names = body["joint_names"].tolist()

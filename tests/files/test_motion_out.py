@@ -252,7 +252,7 @@ def test_a_receiver_that_is_not_there_is_told_once_and_again_when_it_has_been_ba
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    outlet = kind(port=port, most_bytes=65000) if kind is VmcOutlet else kind(port=port)
+    outlet = kind(port=port, max_bytes=65000) if kind is VmcOutlet else kind(port=port)
     entry, spec = (
         ("in", StreamSpec((1, 3), channels=("a",), units=("m",))) if kind is OscPoints else ("pose", TREE.spec(30.0))
     )

@@ -70,7 +70,7 @@ def last(made, name):
 
 def test_without_turns_it_is_scikit_learns_on_the_real_walk(walk):
     operator = PeakMixtures(
-        circular=False, merge_nats=0.0, tolerance=1e-6, fewest_cycles=4, contrast=1.0, least_pct=0.5, least_height=0.01
+        circular=False, merge_nats=0.0, tolerance=1e-6, fewest_cycles=4, contrast=1.0, min_pct=0.5, min_height=0.01
     )
     rows = drive(operator, walk)["mixture"][2]
     rows = rows[rows["number"] == rows["number"].max()]

@@ -98,7 +98,7 @@ def test_full_scale_and_noise_limits():
     x = np.clip(bursts(), -80, 80)
     assert session(judged([x], operator=SignalQuality(full_scale=2000.0))) == [("good", "")]
     assert session(judged([x], operator=SignalQuality(full_scale=80.0))) == [("bad", "clipping")]
-    assert session(judged([bursts()], operator=SignalQuality(most_noise=2.0))) == [("doubtful", "baseline noise")]
+    assert session(judged([bursts()], operator=SignalQuality(max_noise=2.0))) == [("doubtful", "baseline noise")]
 
 
 def test_noise_is_compared_with_rest(tmp_path):
@@ -179,4 +179,4 @@ def test_hum_beneath_strong_bursts_is_baseline_noise_by_default():
     quiet = np.where(t % 1.0 < 0.5, loud, 2 * noise)
     hum = quiet + 20 * np.sin(2 * np.pi * 50 * t)
     assert session(judged([quiet, hum])) == [("good", ""), ("doubtful", "baseline noise")]
-    assert session(judged([quiet, hum], operator=SignalQuality(most_noise=100.0))) == [("good", ""), ("good", "")]
+    assert session(judged([quiet, hum], operator=SignalQuality(max_noise=100.0))) == [("good", ""), ("good", "")]

@@ -153,5 +153,5 @@ def test_no_operator_gives_an_event_later_than_it_declares(use: str) -> None:
         operator, late, step_s = fed(case)
         for output, seconds in late.items():
             if (type(operator).__name__, output) not in PROMISE_NOTHING:
-                most_s = operator.decision_s.get(output, 0.0) + came_late(case) + 2 * step_s
-                assert seconds <= most_s, f"{output}: {seconds:.3f} s"
+                max_s = operator.decision_s.get(output, 0.0) + came_late(case) + 2 * step_s
+                assert seconds <= max_s, f"{output}: {seconds:.3f} s"

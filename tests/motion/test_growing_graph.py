@@ -86,7 +86,7 @@ def test_other_motion_has_no_edges_to_it_and_old_nodes_are_forgotten() -> None:
     across = (edges["source"] < 3) != (edges["target"] < 3)
     assert not (across & (edges["distance"] > 0)).any()
     assert {(s, t) for s, t in zip(edges["source"], edges["target"], strict=True) if s > 2 and t > 2}
-    nodes, edges = grown(GrowingGraph(**HUMAN, most_nodes=2), joints_of(TREE, walking(6))[1], strides(6))  # type: ignore[arg-type]
+    nodes, edges = grown(GrowingGraph(**HUMAN, max_nodes=2), joints_of(TREE, walking(6))[1], strides(6))  # type: ignore[arg-type]
     assert nodes["nodes"].tolist() == [1, 2, 2, 2, 2, 2]
     assert (np.abs(edges["source"] - edges["target"]) <= 1).all()
 

@@ -47,7 +47,7 @@ def principal(x: Samples, k: int) -> Samples:
     return axes[:k]
 
 
-def slowly(x: Samples, k: int, every: int, most_rad: float) -> tuple[Samples, Samples]:
+def slowly(x: Samples, k: int, every: int, max_rad: float) -> tuple[Samples, Samples]:
     """The same by numpy's and scipy's SVDs over all frames so far: axes and centre after each frame.
 
     A plane is found in 3 c parts, spread over the first half of the time until the next; the first at once.
@@ -70,10 +70,10 @@ def slowly(x: Samples, k: int, every: int, most_rad: float) -> tuple[Samples, Sa
             ways = theirs - cosines[:, None] * ours
             angles = np.arctan2(np.linalg.norm(ways, axis=1), cosines)
             ways /= np.maximum(np.linalg.norm(ways, axis=1), 1e-300)[:, None]
-            angles = (angles * min(1.0, most_rad / max(angles.max(), 1e-300)))[:, None]
+            angles = (angles * min(1.0, max_rad / max(angles.max(), 1e-300)))[:, None]
             axes = u @ (np.cos(angles) * ours + np.sin(angles) * ways)
             away, spread = x[:n].mean(axis=0) - centre, np.sqrt(x[:n].var(axis=0).sum())
-            centre = centre + away * min(1.0, most_rad * spread / max(float(np.linalg.norm(away)), 1e-300))
+            centre = centre + away * min(1.0, max_rad * spread / max(float(np.linalg.norm(away)), 1e-300))
         found.append(axes)
         centres.append(centre)
     return np.array(found), np.array(centres)

@@ -28,12 +28,12 @@ def test_every_value_agrees_with_numpy_over_its_window_with_ties_and_bad_values(
     data = np.random.default_rng(2).normal(size=(200, 3)).round(1) * (1.0, 100.0, 3.0)
     data[40:50, 1] = np.nan
     data[60:70, 2] = 7.0
-    np.testing.assert_allclose(standardised(data, window_s=0.5, least_share=0.0), by_numpy(data, 15), atol=1e-12)
+    np.testing.assert_allclose(standardised(data, window_s=0.5, min_share=0.0), by_numpy(data, 15), atol=1e-12)
 
 
 def test_frozen_statistics_stay_and_a_silent_channel_stays_silent():
     data = np.random.default_rng(3).normal(size=(200, 2)) * (1.0, 1e-3)
-    made = standardised(data, freeze_s=2.0, least_share=0.1)
+    made = standardised(data, freeze_s=2.0, min_share=0.1)
     first = data[:60, 0]
     spread = np.subtract(*np.quantile(first, [0.75, 0.25])) / QUARTILES
     np.testing.assert_allclose(made[60:, 0], (data[60:, 0] - np.median(first)) / spread)

@@ -256,7 +256,7 @@ def alike(a: set[tuple[int, int]], b: set[tuple[int, int]]) -> float:
     return len(a & b) / len(a | b)
 
 
-def least_difference(page: LiveBrowser, one: str, other: str) -> float:
+def min_difference(page: LiveBrowser, one: str, other: str) -> float:
     """By how much two sequences differ (m) that lie over one another, the other shifted so that it is least."""
     choose(page, one, other)
     page.value("document.getElementById('over').click()")
@@ -281,7 +281,7 @@ def test_the_tasks_of_the_study(page: LiveBrowser) -> None:
     gaits = page.value("[...document.querySelectorAll('#bars .legend span')].map(s => s.textContent)")
     assert gaits == ["trot", "walk"], "T2: which they are"
     put(page, "colour by", "", "change")
-    assert least_difference(page, "walk0", "walk1") < 0.5 * least_difference(page, "walk0", "trot0"), (
+    assert min_difference(page, "walk0", "walk1") < 0.5 * min_difference(page, "walk0", "trot0"), (
         "T3: shifted to one another, two walks are nearly one, a walk and a trot are not"
     )
     put(page, "outliers", 0.995)

@@ -126,7 +126,7 @@ def test_an_irregular_stream_has_no_holes() -> None:
 
 
 def test_a_history_is_bounded_and_keeps_the_newest() -> None:
-    history = History(SIGNAL, most_bytes=25 * 1000)
+    history = History(SIGNAL, max_bytes=25 * 1000)
     for k in range(40):
         history.add(Chunk(grid(RATE_HZ, 333, start_ns=k * 333_000_000), np.full((333, 2), float(k)), 0))
     assert history.end == 40 * 333
@@ -143,7 +143,7 @@ def lengths(channel: PageChannel) -> list[tuple[int, int]]:
 
 
 def test_the_channel_drops_views_where_nobody_takes_them_and_the_stream_says_so() -> None:
-    channel = PageChannel([False, True], most_bytes=10 * 160)
+    channel = PageChannel([False, True], max_bytes=10 * 160)
     channel.wanted[:] = [True, True]
     signal, picture = channel.observer(0), channel.observer(1)
     for k in range(25):

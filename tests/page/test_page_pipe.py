@@ -123,7 +123,7 @@ def test_who_puts_hands_over_what_has_come_together_and_what_was_announced_stand
 
 
 def test_a_server_that_stands_still_costs_views_and_no_more_memory(ends: PipeEnds) -> None:
-    channel = PageChannel([False], most_bytes=1 << 20)
+    channel = PageChannel([False], max_bytes=1 << 20)
     channel.lead_to(ends.pipe)
     channel.wanted[0] = True
     put = channel.observer(0)

@@ -163,7 +163,7 @@ nodes:
     use: operators.cycles.limb_cycles.LimbCycles
     from: {signal: envelope, touchdown: feet.touchdown, liftoff: feet.liftoff}
     limbs: {left: "L_*", right: "R_*"}
-  annotations: {use: stream.manual.Annotations, heard_s: 0.05}
+  annotations: {use: stream.manual.Annotations, input_lag_s: 0.05}
   stages:
     use: operators.cycles.stages.Stages
     from: {signal: envelope, annotations: annotations, closed: cycles.closed}

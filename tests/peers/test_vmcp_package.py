@@ -33,7 +33,7 @@ def test_vmcp_hears_every_bone_the_time_and_the_face(most: int) -> None:
     command = [sys.executable, str(RECEIVER), str(port), str(3 / 30 - 1e-3)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout and process.stdout.readline() == "ready\n"
-        outlet = VmcOutlet(port=port, most_bytes=most)
+        outlet = VmcOutlet(port=port, max_bytes=most)
         outlet.open({"pose": TREE.spec(30.0), "blends": StreamSpec((1,), channels=("Joy",))})
         outlet.begin()
         outlet.process("blends", Chunk(np.array([1]), np.array([[0.25]]), 1))

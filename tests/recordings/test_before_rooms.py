@@ -13,8 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from kinegraph.operators.emg.quality import SignalQuality
 from kinegraph.stream.graph.components import catalogue, find
-from kinegraph.stream.graph.moved import MOVED
+from kinegraph.stream.graph.moved import MOVED, PARAMETERS, parameter_today
+from kinegraph.stream.graph.reading.load import load
 from kinegraph.stream.recording import Recording
 from tests.support.command_line import Command, kinegraph, refused
 
@@ -66,8 +68,24 @@ def test_every_new_name_is_one_of_today() -> None:
         ("use: devices.people.treadmill.Treadmill", "use: devices.people.treadmill.Treadmill"),
         ("{use: devices.lsl.LslOutlet, from: a}", "{use: devices.lsl.LslOutlet, from: a}"),
         ("use: my.devices.report.Mine", "use: my.devices.report.Mine"),
+        ("least_seen: 0.5", "min_seen: 0.5"),
+        ("at_least_seen: 0.5", "at_least_seen: 0.5"),
     ],
 )
 def test_names_of_today_and_names_of_others_stay(before: str, after: str, tmp_path: Path) -> None:
     (tmp_path / "g.yaml").write_text(before)
     assert renamed(tmp_path / "g.yaml") == after
+
+
+def test_a_graph_with_old_names_of_parameters_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert parameter_today(SignalQuality, "most_noise") == "max_noise"
+    assert parameter_today(SignalQuality, "most_kmh") == "most_kmh", "it has no such parameter"
+    assert all(old != new for old, new in PARAMETERS.items())
+    Path("g.yaml").write_text("""
+name: old
+nodes:
+  board: {use: devices.people.treadmill.Treadmill}
+  quality: {use: operators.emg.quality.SignalQuality, from: board.emg, most_noise: 5.0}
+""")
+    assert load(Path("g.yaml")).nodes["quality"].part.max_noise == 5.0

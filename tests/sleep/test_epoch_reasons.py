@@ -49,7 +49,7 @@ def test_unknown_epochs_say_whether_they_or_their_neighbours_were_not_seen() -> 
     activity = np.zeros(60)
     activity[20:33] = np.nan
     activity[28] = 0.0
-    epochs = scored(activity, least_seen=0.6)
+    epochs = scored(activity, min_seen=0.6)
     assert epochs["cause"][25] == "unseen" and epochs["cause"][28] == "gaps" and epochs["cause"][40] == "still"
     assert (epochs["state"][epochs["cause"] == "gaps"] == "unknown").all()
 

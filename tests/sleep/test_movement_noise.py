@@ -21,8 +21,8 @@ def test_the_level_is_that_of_the_stillest_quarter_and_the_scatter_of_the_stille
     noise = learned([9.0, 5.0, 1.0, 2.0, 8.0, 3.0, 7.0, 4.0])
     assert noise.level_of(0) == pytest.approx(3.0)
     assert noise.scatter_of(0) == pytest.approx(0.1)
-    assert noise.threshold(0, sigmas=5.0, least_rise=0.1) == pytest.approx(3.5)
-    assert noise.threshold(0, sigmas=1.0, least_rise=0.1) == pytest.approx(3.3)
+    assert noise.threshold(0, sigmas=5.0, min_rise=0.1) == pytest.approx(3.5)
+    assert noise.threshold(0, sigmas=1.0, min_rise=0.1) == pytest.approx(3.3)
     assert noise.count.tolist() == [8, 0]
 
 

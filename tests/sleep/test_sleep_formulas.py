@@ -87,7 +87,7 @@ def test_scores_are_the_papers_formula(method: Any, epoch_s: float) -> None:
 
 
 def epochs_by_hand(
-    time: Array, x: Array, epoch_ns: int, most_silent: int, measure: str
+    time: Array, x: Array, epoch_ns: int, max_silent: int, measure: str
 ) -> list[tuple[int, float, bool]]:
     """(onset, value, whether what was before is lost) of every epoch, from its samples; NaN for the first silent ones."""
     made: list[tuple[int, float, bool]] = []
@@ -95,8 +95,8 @@ def epochs_by_hand(
     before = int(time[0]) // epoch_ns - 1
     for epoch in sorted({int(t) // epoch_ns for t in time}):
         silent = epoch - before - 1
-        made += [((before + 1 + k) * epoch_ns, np.nan, False) for k in range(min(silent, most_silent))]
-        made.append((epoch * epoch_ns, float(whole(x[time // epoch_ns == epoch])), silent > most_silent))
+        made += [((before + 1 + k) * epoch_ns, np.nan, False) for k in range(min(silent, max_silent))]
+        made.append((epoch * epoch_ns, float(whole(x[time // epoch_ns == epoch])), silent > max_silent))
         before = epoch
     return made
 
@@ -107,7 +107,7 @@ def test_epochs_are_their_samples_whatever_silence_lies_between(measure: Any, on
     rng = np.random.default_rng(8)
     steps = rng.choice([0.4, 1.0, 7.0, 12.0, 15.0, 40.0], 200, p=[0.6, 0.2, 0.05, 0.05, 0.05, 0.05])
     time, x = (np.cumsum(steps) * NS).astype(np.int64), rng.gamma(1.0, 1.0, 200)
-    operator = Epochs(epoch_s=3.0, measure=measure, reset_gap_s=9.0, least_seen=1e-6)
+    operator = Epochs(epoch_s=3.0, measure=measure, reset_gap_s=9.0, min_seen=1e-6)
     operator.open({"in": StreamSpec((1,), channels=("wrist",), units=("counts",))})
     cuts = range(200) if one_by_one else [0]
     chunks = [Chunk(time[k : k + 1] if one_by_one else time, x[k : k + 1, None] if one_by_one else x[:, None],

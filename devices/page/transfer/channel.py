@@ -46,11 +46,11 @@ class PageChannel:
     dropped   chunks that were too many
     """
 
-    def __init__(self, newest: list[bool], most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, newest: list[bool], max_bytes: int = MOST_BYTES) -> None:
         self.newest, self.wanted = newest, [False] * len(newest)
         self.seen = False
         self.dropped = 0
-        self._most, self._held = most_bytes, 0
+        self._most, self._held = max_bytes, 0
         self._queue: deque[tuple[int, Chunk] | bytes] = deque()
         self._last: dict[int, Chunk] = {}
         self._torn: set[int] = set()

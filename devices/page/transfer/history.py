@@ -17,9 +17,9 @@ MOST_SAMPLES = 200_000
 class History:
     """The newest samples of a stream, numbered; `first` is the oldest one kept, `end` the one behind the newest."""
 
-    def __init__(self, spec: StreamSpec, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, spec: StreamSpec, max_bytes: int = MOST_BYTES) -> None:
         self.spec = spec
-        self.limit = int(np.clip(most_bytes // (spec.sample_bytes + 9), LEAST_SAMPLES, MOST_SAMPLES))
+        self.limit = int(np.clip(max_bytes // (spec.sample_bytes + 9), LEAST_SAMPLES, MOST_SAMPLES))
         room = min(2 * self.limit, 1024)
         self._time: Times = np.empty(room, np.int64)
         self._data: Array = np.empty((room, *spec.shape), spec.dtype)

@@ -41,10 +41,10 @@ class Noise:
         n = min(int(self.count[k]), EPOCHS)
         return float(np.sort(self.level[:n, k])[n // 4])
 
-    def threshold(self, k: int, sigmas: float, least_rise: float) -> float:
+    def threshold(self, k: int, sigmas: float, min_rise: float) -> float:
         """What channel `k` exceeds only where something moves; at least one epoch must have been learned."""
         level = self.level_of(k)
-        return level + max(sigmas * self.scatter_of(k), least_rise * level)
+        return level + max(sigmas * self.scatter_of(k), min_rise * level)
 
     def scatter_of(self, k: int) -> float:
         """How far channel `k` scatters in the stillest half of the epochs, as a standard deviation."""

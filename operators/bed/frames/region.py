@@ -50,7 +50,7 @@ class RegionState:
 class RegionDepth(Operator[RegionState]):
     """Frames (height, width) uint16 in mm in, 0: no measurement; out (2,): the mean depth in a rectangle, the share of valid pixels.
 
-    No delay, no state; gaps are passed on as they are. The mean is NaN where fewer than `least_valid` of the region's pixels are valid.
+    No delay, no state; gaps are passed on as they are. The mean is NaN where fewer than `min_valid` of the region's pixels are valid.
 
     >>> frame = np.array([[[1000, 1200], [0, 1100]]], np.uint16)
     >>> RegionDepth()(frame, rate_hz=30, units=["mm"]).tolist()
@@ -61,7 +61,7 @@ class RegionDepth(Operator[RegionState]):
     column: int = param(0, least=0, help="its first column, from the left")
     rows: int = param(0, least=0, help="how many rows it has; 0: all the rest")
     columns: int = param(0, least=0, help="how many columns it has; 0: all the rest")
-    least_valid: float = param(0.2, least=0.0, most=1.0, help="share of valid pixels below which there is no mean")
+    min_valid: float = param(0.2, least=0.0, most=1.0, help="share of valid pixels below which there is no mean")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -77,7 +77,7 @@ class RegionDepth(Operator[RegionState]):
     def process(self, port: str, chunk: Chunk) -> Chunk:
         out = np.empty((len(chunk.time), 2))
         row, column, rows, columns = self.state.region
-        region_means(chunk.data, row, column, rows, columns, self.least_valid, out)
+        region_means(chunk.data, row, column, rows, columns, self.min_valid, out)
         return Chunk(chunk.time, out, chunk.until, chunk.lost)
 
     @classmethod

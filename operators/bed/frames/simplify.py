@@ -53,7 +53,7 @@ class Simplify(Operator[SimplifyState]):
 
     out     (height, width) uint16, mm: every block of `block` x `block` pixels as its level, and with more `components` than one also
             its projections on the principal components of what blocks hold beside their level. A block with fewer measured pixels than
-            `least_valid` is 0 throughout; in any other all pixels have a value, those that were not measured count as the block's mean
+            `min_valid` is 0 throughout; in any other all pixels have a value, those that were not measured count as the block's mean
     blocks  (height / block, width / block) float64, mm: the level of each block's middle: the mean of its measured pixels, less what
             the slope of the blocks around makes of those that are missing; NaN where it is not measured
     scene   an event at the first frame under another basis: a leap of all pixels that is no movement
@@ -79,7 +79,7 @@ class Simplify(Operator[SimplifyState]):
     components: int = param(1, least=1, help="how many numbers remain of a block")
     learn_s: float = param(120.0, above=0.0, help="how long blocks are observed before their components are chosen")
     worse: float = param(1.25, least=1.0, help="how much more the basis must leave over than a new one would")
-    least_valid: float = param(0.5, above=0.0, most=1.0, help="share of a block's pixels that must be measured")
+    min_valid: float = param(0.5, above=0.0, most=1.0, help="share of a block's pixels that must be measured")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
@@ -100,7 +100,7 @@ class Simplify(Operator[SimplifyState]):
         state = SimplifyState(
             np.zeros((m, b, width), np.float32), np.zeros((b, width), np.float32), np.zeros((m, 2), np.float32),
             means(b, m), False, Learner.of(b, m), NEVER, 0, _apart(blocks, most), most,
-            max(1, int(np.ceil(self.least_valid * b * b))),
+            max(1, int(np.ceil(self.min_valid * b * b))),
         )  # fmt: skip
         self.set_state(state)
         _use(state, state.vectors, np.zeros(b * b))

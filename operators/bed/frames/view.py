@@ -81,7 +81,7 @@ class View(Operator[ViewState]):
             changed against the room as it was, in 3 seconds in a row, or a quarter in 10 (somebody lay down or got up, too);
             or, by more than that, 60 % of the blocks have another depth for 10 s. People, blankets, furniture and lamps change a part of
             the picture, which no shift of the whole explains
-    dark    for `dark_s` less than `least_seen` of the blocks was measured steadily: a camera without a light of its own, at night
+    dark    for `dark_s` less than `min_seen` of the blocks was measured steadily: a camera without a light of its own, at night
     steady  the view at the beginning, after darkness, and a minute after a jump
 
     A jump is reported some 3 to 8 s after it; a change below a quarter of a block, or one that takes longer than a minute, is not noticed.
@@ -92,7 +92,7 @@ class View(Operator[ViewState]):
     """
 
     dark_s: float = param(10.0, least=2.0, help="for how long next to nothing must be measured")
-    least_seen: float = param(
+    min_seen: float = param(
         0.3, above=0.0, most=1.0, help="share of blocks that are measured steadily where it is light enough"
     )
 
@@ -138,7 +138,7 @@ class View(Operator[ViewState]):
         depth[280:320] = np.nan
         meta = {"simplified": {"block": 8, "components": 1}}
         inputs = {"in": (StreamSpec((12, 16), rate_hz=4.0, units=("mm",), meta=meta), grid(4.0, 360), depth)}
-        return [Case(cls(dark_s=4.0), inputs, least=4), Case(cls(dark_s=2.0, least_seen=0.5), inputs, least=4)]
+        return [Case(cls(dark_s=4.0), inputs, least=4), Case(cls(dark_s=2.0, min_seen=0.5), inputs, least=4)]
 
     def _pass(self, until: int, made: Rows) -> None:
         """Look at the second that is over by `until`."""
@@ -161,7 +161,7 @@ class View(Operator[ViewState]):
     def _light(self, share: float, end: int, made: Rows) -> None:
         """Whether it is dark."""
         s = self.state
-        says = share < self.least_seen if not s.dark else share < min(1.0, 1.5 * self.least_seen)
+        says = share < self.min_seen if not s.dark else share < min(1.0, 1.5 * self.min_seen)
         s.hidden = s.hidden + 1 if says != s.dark else 0
         if s.hidden >= self.dark_s:
             s.dark = not s.dark

@@ -47,7 +47,7 @@ def check(
         looks = Looks(made.graph, out_s, between_s, in_s)
         looks.run()
     stays = dict(zip(looks.sleepers, looks.minutes[1:], strict=True))
-    findings = judge(looks.minutes[0], stays, looks.regions, looks.block, made.rise_mm, made.least_share)
+    findings = judge(looks.minutes[0], stays, looks.regions, looks.block, made.rise_mm, made.min_share)
     for finding in findings:
         say(f"{'well' if finding.well else 'NOT WELL'}: {finding.text}")
     for problem in looks.problems:

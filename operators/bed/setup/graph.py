@@ -23,11 +23,11 @@ from kinegraph.stream.system.names import use_of
 
 @dataclass(frozen=True, slots=True)
 class SetupGraph:
-    """The graph of `camera`, `simplify`, `view` and `bed`; rise_mm and least_share are those of the whole graph's presence."""
+    """The graph of `camera`, `simplify`, `view` and `bed`; rise_mm and min_share are those of the whole graph's presence."""
 
     graph: Graph
     rise_mm: float
-    least_share: float
+    min_share: float
 
 
 def small(config: Path, settings: Sequence[str]) -> SetupGraph:
@@ -50,7 +50,7 @@ def small(config: Path, settings: Sequence[str]) -> SetupGraph:
         "view": {**_written(_one(whole, View, config)), "from": "simplify.blocks"},
         "bed": {**_written(_one(whole, BedRegion, config)), "from": {"view": "view", "in": "simplify.blocks"}},
     }
-    return SetupGraph(load_text(json.dumps({"nodes": nodes}), str(config)), presence.rise_mm, presence.least_share)
+    return SetupGraph(load_text(json.dumps({"nodes": nodes}), str(config)), presence.rise_mm, presence.min_share)
 
 
 def _one(graph: Graph, kind: type, config: Path) -> Node:

@@ -59,7 +59,7 @@ class CycleBursts(Operator[BurstsState]):
     active   (100, muscles) in which share of the cycles so far the muscle was active at each point, 0..1; NaN before there is a cycle
 
     The method is Hodges and Bui's (Electroencephalogr. Clin. Neurophysiol. 101, 1996) with a second, lower threshold (hysteresis): a burst
-    begins where the envelope stays for `least_pct` of the cycle at or above baseline + `on_sd` standard deviations of the baseline,
+    begins where the envelope stays for `min_pct` of the cycle at or above baseline + `on_sd` standard deviations of the baseline,
     and ends where it falls below baseline + `off_sd`. Baseline is the mean of the quietest `quiet_pct` of the cycle (one stretch), its
     deviation that within it, both over the latest 20 cycles. As an envelope's baseline hardly varies, a burst must also reach `of_peak`
     of the cycle's peak, and ends at half of that. Bursts less than `join_pct` apart are one; what is active at 99 % and at 0 % is one.
@@ -77,7 +77,7 @@ class CycleBursts(Operator[BurstsState]):
     on_sd: float = param(3.0, above=0.0, help="a burst begins this many standard deviations above the baseline")
     off_sd: float = param(1.5, above=0.0, help="and ends below this many")
     of_peak: float = param(0.15, least=0.0, below=1.0, help="a burst reaches this part of the cycle's peak at least")
-    least_pct: int = param(3, least=1, most=50, help="a burst lasts this long at least, % of the cycle")
+    min_pct: int = param(3, least=1, most=50, help="a burst lasts this long at least, % of the cycle")
     join_pct: int = param(3, least=0, most=50, help="bursts that are less apart are one, % of the cycle")
     quiet_pct: int = param(10, least=2, most=50, help="length of the stretch that gives the baseline, % of the cycle")
 
@@ -126,7 +126,7 @@ class CycleBursts(Operator[BurstsState]):
 
     @classmethod
     def cases(cls) -> list[Case]:
-        least = cls(of_peak=0.8, least_pct=5, join_pct=0, quiet_pct=20)
+        least = cls(of_peak=0.8, min_pct=5, join_pct=0, quiet_pct=20)
         return [Case(cls(), some_cycles(20, 3, 6), least=30), Case(least, some_cycles(20, 3, 7), least=30)]
 
     def _cycle(self, closed: np.void, curve: Samples) -> tuple[Array, Array, Samples]:
@@ -163,7 +163,7 @@ class CycleBursts(Operator[BurstsState]):
         rise = float(x.max()) - mean
         on = mean + max(self.on_sd * sd, self.of_peak * rise)
         off = mean + max(self.off_sd * sd, 0.5 * self.of_peak * rise)
-        return spans(x, on, min(on, off), self.least_pct, self.join_pct)
+        return spans(x, on, min(on, off), self.min_pct, self.join_pct)
 
     def _burst_rows(self, closed: np.void, rows: list[tuple[float, ...]]) -> Array:
         made = np.zeros(len(rows), BURST)

@@ -82,7 +82,7 @@ def quality(spec: StreamSpec, chunks: Iterable[Chunk], *, steady: bool = False) 
 
     steady   the muscles do the same throughout (rest, a held contraction), so that no contrast is no fault
     """
-    operator = SignalQuality(least_contrast=1.0) if steady else SignalQuality()
+    operator = SignalQuality(min_contrast=1.0) if steady else SignalQuality()
     operator.open({"in": spec})
     found = np.concatenate([operator.process("in", chunk).data for chunk in chunks])
     if not len(found):

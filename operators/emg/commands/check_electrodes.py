@@ -42,7 +42,7 @@ def check_electrodes(
     impedance: Annotated[
         bool, typer.Option("--impedance/--no-impedance", help="measure impedances first, where the device can")
     ] = True,
-    most_kohm: Annotated[
+    max_kohm: Annotated[
         float,
         typer.Option(metavar="KOHM", min=0.1, help="an impedance above this is doubtful, ten times as much is bad"),
     ] = 50.0,
@@ -64,7 +64,7 @@ def check_electrodes(
     else:
         with TemporaryDirectory(prefix="kinegraph-") as folder:
             ohm = _measure(source, File(folder) / "check", quiet, strong, simulate=simulate, impedance=impedance)
-            found, unit = _judge(File(folder) / "check", emg, quiet, strong, ohm, 1000 * most_kohm)
+            found, unit = _judge(File(folder) / "check", emg, quiet, strong, ohm, 1000 * max_kohm)
     if as_json:
         print_json({"unit": unit, "electrodes": found})
     else:
@@ -151,7 +151,7 @@ def _prompt(session: Session, quiet: Span, strong: Span, over: Event) -> None:
 
 
 def _judge(
-    path: File, emg: str, quiet: Span, strong: Span, ohm: Sequence[Impedance] = (), most_ohm: float = 0.0
+    path: File, emg: str, quiet: Span, strong: Span, ohm: Sequence[Impedance] = (), max_ohm: float = 0.0
 ) -> tuple[list[Electrode], str]:
     from kinegraph.operators.emg.commands.calibrate import raw_emg
     from kinegraph.operators.emg.commands.electrode_check import check_electrodes as judge
@@ -161,7 +161,7 @@ def _judge(
         name = emg or raw_emg(recording)
         spec = recording.stream(name).spec
         times, data = recording.read(name)
-    return judge(spec, times, data, quiet, strong, ohm, most_ohm), spec.units[0]
+    return judge(spec, times, data, quiet, strong, ohm, max_ohm), spec.units[0]
 
 
 def _show(found: list[Electrode], unit: str) -> None:

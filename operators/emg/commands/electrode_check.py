@@ -62,11 +62,11 @@ class Electrode:
 
 def check_electrodes(
     spec: StreamSpec, time: Times, data: Samples, rest: tuple[float, float], contraction: tuple[float, float],
-    impedances: Sequence[Impedance] = (), most_ohm: float = MOST_OHM,
+    impedances: Sequence[Impedance] = (), max_ohm: float = MOST_OHM,
 ) -> list[Electrode]:  # fmt: skip
     """Judge every channel of raw EMG (n, channels) by its impedances and its stages, (begin, end) in seconds from the first sample.
 
-    The limits are those of `SignalQuality`, and ours: LEAST_RISE, SHARED, SAME, MOST_OHM (`most_ohm`; ten times that is bad). Raises
+    The limits are those of `SignalQuality`, and ours: LEAST_RISE, SHARED, SAME, MOST_OHM (`max_ohm`; ten times that is bad). Raises
     InputError where a stage holds less than a second.
     """
     seconds = (time - time[0]) / 1e9 if len(time) else np.empty(0)
@@ -88,8 +88,8 @@ def check_electrodes(
         if reason in ("", "baseline noise"):
             flag, reason = _stages(below[k], above[k], shared[k], limit)
         ohm = tuple(each.ohm for each in impedances if each.channel == name)
-        if ohm and (flag == "good" or not max(ohm) < 10 * most_ohm):
-            flag, reason = _by_ohm(max(ohm), most_ohm)
+        if ohm and (flag == "good" or not max(ohm) < 10 * max_ohm):
+            flag, reason = _by_ohm(max(ohm), max_ohm)
         with_ = names[other[k]] if other[k] >= 0 else ""
         found.append(
             Electrode(name, float(below[k]), float(above[k]), float(hum[k]), float(shared[k]), with_, flag, reason, ohm)

@@ -200,7 +200,7 @@ class MixtureDrift(Operator[MixtureDriftState]):
 
     @classmethod
     def warm_up_cases(cls) -> list[Case]:
-        inputs, other = _some_mixtures(10, PeakMixtures(cycles=4, fewest_cycles=2, contrast=1.0, most_sweeps=4))
+        inputs, other = _some_mixtures(10, PeakMixtures(cycles=4, fewest_cycles=2, contrast=1.0, max_sweeps=4))
         return [Case(cls(first=4, windows=1, cycles=2, pairs=10), {**inputs, "other": other})]
 
     def _collect(self, port: str, chunk: Chunk, alarms: list[tuple[int, Alarm]]) -> None:

@@ -58,8 +58,8 @@ class PeakMixtures(Operator[MixturesState]):
     A peak is a point (% of the cycle, height). Mariscotti's peaks of the mean curve give the number of modes, k-means along the cycle
     begins them, EM fits them with full covariances. Distances along the cycle are circular: the density is a normal one wrapped around the
     cycle, of which one turn to either side counts (`circular: false`: a plain mixture, as in the thesis and scikit-learn). Modes closer
-    than `merge_nats` (symmetric Kullback-Leibler divergence, thesis 6.4.1) are one. A mode's spread is never less than `least_pct` along
-    the cycle and `least_height` of the mean curve's peak in height: their squares are added to its variances.
+    than `merge_nats` (symmetric Kullback-Leibler divergence, thesis 6.4.1) are one. A mode's spread is never less than `min_pct` along
+    the cycle and `min_height` of the mean curve's peak in height: their squares are added to its variances.
 
     Only activity counts: a peak that reaches `rest_sd` standard deviations above rest (the quietest tenth of the mean curve), and `of_peak`
     of the way from rest to the mean curve's peak, as a burst of `operators.cycles.statistics.bursts.CycleBursts` does. With both 0 every
@@ -88,20 +88,20 @@ class PeakMixtures(Operator[MixturesState]):
     circular: bool = param(True, help="whether 100 % of a cycle is 0 % of the next")
     width: int = param(3, least=1, most=25, help="Mariscotti's w: points of the running mean, odd")
     passes: int = param(3, least=0, most=10, help="Mariscotti's z: how often it runs")
-    least_depth: float = param(0.1, least=0.0, below=1.0, help="a peak's second difference, as a share of the deepest")
+    min_depth: float = param(0.1, least=0.0, below=1.0, help="a peak's second difference, as a share of the deepest")
     merge_nats: float = param(0.5, least=0.0, help="modes that diverge less are one; 0: never")
     tolerance: float = param(1e-4, above=0.0, help="EM ends when a peak's mean log-likelihood gains less")
-    most_sweeps: int = param(200, least=1, most=10000, help="EM ends after at most this many sweeps")
-    least_pct: float = param(1.0, above=0.0, help="the least spread of a mode along the cycle, in %")
-    least_height: float = param(0.05, above=0.0, help="and in height, as a share of the mean curve's peak")
+    max_sweeps: int = param(200, least=1, most=10000, help="EM ends after at most this many sweeps")
+    min_pct: float = param(1.0, above=0.0, help="the least spread of a mode along the cycle, in %")
+    min_height: float = param(0.05, above=0.0, help="and in height, as a share of the mean curve's peak")
     contrast: float = param(1.5, least=1.0, help="a mean curve with a lower peak over its median has no burst")
     rest_sd: float = param(3.0, least=0.0, help="standard deviations above rest from which a peak is activity")
     of_peak: float = param(0.15, least=0.0, below=1.0, help="and from this part of the mean curve's rise above rest on")
 
     def fitting(self) -> Fitting:
         return Fitting(
-            self.width, self.passes, self.least_depth, self.circular, self.tolerance, self.most_sweeps,
-            self.merge_nats, self.least_pct, self.least_height, self.contrast, self.fewest_cycles, self.rest_sd, self.of_peak,
+            self.width, self.passes, self.min_depth, self.circular, self.tolerance, self.max_sweeps,
+            self.merge_nats, self.min_pct, self.min_height, self.contrast, self.fewest_cycles, self.rest_sd, self.of_peak,
         )  # fmt: skip
 
     def open(self, specs: Specs) -> Specs:
@@ -119,7 +119,7 @@ class PeakMixtures(Operator[MixturesState]):
         nothing = np.zeros(1, specs["closed"].dtype)
         refit = Refit.empty(self.cycles, group.shape[1])
         rate_hz = specs["pace"].rate_hz if "pace" in specs else None
-        late_s = (len(group) + 1) * refit.most_calls(self.most_sweeps) / rate_hz if rate_hz else 0.0
+        late_s = (len(group) + 1) * refit.most_calls(self.max_sweeps) / rate_hz if rate_hz else 0.0
         self.set_state(
             MixturesState(
                 Expected.empty(specs["closed"].dtype), PeakWindow.empty(self.cycles, spec.shape[1], limbs),
@@ -170,7 +170,7 @@ class PeakMixtures(Operator[MixturesState]):
     def warm_up_cases(cls) -> list[Case]:
         closed_cycles = some_cycles(8, 2, 5)
         inputs = {"maxima": some_maxima(closed_cycles), **closed_cycles}
-        return [Case(cls(cycles=4, fewest_cycles=4, contrast=1.0, most_sweeps=8), inputs)]
+        return [Case(cls(cycles=4, fewest_cycles=4, contrast=1.0, max_sweeps=8), inputs)]
 
     @classmethod
     def cases(cls) -> list[Case]:

@@ -25,7 +25,10 @@ SWEEPS, OF_PEAKS = 24, 250
 @dataclass(slots=True)
 class Fitting:
     """How a mixture is fitted. `least` of a mode: its spread along the cycle in %, and its height as a share of the mean curve's peak.
-    Peaks below `rest_sd` and `of_peak` are rest (`least_activity`)."""
+    Peaks below `rest_sd` and `of_peak` are rest (`least_activity`).
+
+    Recordings hold the names of these fields: `Fitting(**meta["fitting"])` reads them.
+    """
 
     width: int
     passes: int

@@ -117,8 +117,8 @@ def _natural(edges: Edges) -> Array:
     return np.asarray((edges.leave == edges.enter) & (edges.placed[:, 3] == 0.0))
 
 
-def find_edges(joints: Samples, nodes: Nodes, most_m: float, blend: int) -> Edges:
-    """All edges up to `most_m`, ordered by source: the recordings' own, and for each pair of nodes the nearest windows at its seam.
+def find_edges(joints: Samples, nodes: Nodes, max_m: float, blend: int) -> Edges:
+    """All edges up to `max_m`, ordered by source: the recordings' own, and for each pair of nodes the nearest windows at its seam.
 
     joints  (n, j, 3) of all frames. Windows are looked for up to a quarter of a node from its end, or beginning, and not beyond the take.
     """
@@ -133,7 +133,7 @@ def find_edges(joints: Samples, nodes: Nodes, most_m: float, blend: int) -> Edge
         seen = _features(joints, at, offsets, left, right)
         index = Index(seen.shape[1], len(seen), most=0)
         index.follow(seen, 0)
-        radius = ROOM * most_m * np.sqrt(seen.shape[1] / 3)
+        radius = ROOM * max_m * np.sqrt(seen.shape[1] / 3)
         for k, ends in enumerate(leaves):
             best = np.full(len(enters), np.inf)
             seams = np.zeros((len(enters), 2), np.int64)
@@ -152,7 +152,7 @@ def find_edges(joints: Samples, nodes: Nodes, most_m: float, blend: int) -> Edge
             for other in np.flatnonzero(np.isfinite(best)).tolist():
                 leave, enter = (int(frame) for frame in seams[other])
                 placed = cloud_distance(joints, leave, enter, blend)
-                if placed[3] <= most_m:
+                if placed[3] <= max_m:
                     rows.append((k, other, leave, enter, placed))
     follows = {(int(a), int(b)): k for k, (a, b) in enumerate(zip(nodes.first, nodes.low, strict=True))}
     for k, (last, low) in enumerate(zip(nodes.last.tolist(), nodes.low.tolist(), strict=True)):

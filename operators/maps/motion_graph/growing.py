@@ -77,7 +77,7 @@ class GrowingGraph(_Turning):
 
     Of each node's first and last quarter nine windows at most are compared with those of all others, by the neighbour index: one window
     with every frame, so that a node has its edges 20 frames after it was decided. What is near is measured by the closed form of Kovar
-    et al.; an edge is what lies within `within_cm`. Only the newest `most_nodes` stretches, and joints of the newest `memory_s`, are
+    et al.; an edge is what lies within `within_cm`. Only the newest `max_nodes` stretches, and joints of the newest `memory_s`, are
     compared. No mirror images, and late entries are not ruled out: `kinegraph motion train graph` makes of the recording
     what can be walked.
 
@@ -97,7 +97,7 @@ class GrowingGraph(_Turning):
     within_cm: float = param(12.0, above=0.0, most=100.0, help="so far may joints lie apart, rms, for an edge")
     blend_s: float = param(0.37, least=0.1, most=1.0, help="how long a blend takes")
     shortest_s: float = param(0.4, above=0.0, help="a shorter stretch is no node")
-    most_nodes: int = param(200, least=2, most=1000, help="how many of the newest stretches are compared")
+    max_nodes: int = param(200, least=2, most=1000, help="how many of the newest stretches are compared")
     memory_s: float = param(300.0, above=1.0, most=3600.0, help="joints are kept so long")
 
     def open(self, specs: Specs) -> Specs:
@@ -118,7 +118,7 @@ class GrowingGraph(_Turning):
             order.tolist().index(spec.channels.index(name)) + (not self.origin) for name in (self.left, self.right)
         ]
         blend = max(2, round((self.blend_s * rate_hz - 1) / 2))
-        growth = Growth.empty(joints, samples_in("memory_s", self.memory_s, rate_hz), self.most_nodes, blend)
+        growth = Growth.empty(joints, samples_in("memory_s", self.memory_s, rate_hz), self.max_nodes, blend)
         object.__setattr__(self, "turn", turned_to(BODY, spec))
         scale, gap_ns = METRES[spec.units[0]], longest_gap_ns(rate_hz)
         taken_s = (2 * WINDOWS + 2) / rate_hz
@@ -229,8 +229,8 @@ class GrowingGraph(_Turning):
         events = StreamSpec((), rows.dtype, units=("ns", "ns", ""))
         inputs = {"primitive": (events, ends, rows), "in": (spec, time, data)}
         return [
-            Case(cls(most_nodes=12, memory_s=15.0), inputs, least=60),
-            Case(cls(origin="foot_l", within_cm=30.0, most_nodes=5), inputs, least=40),
+            Case(cls(max_nodes=12, memory_s=15.0), inputs, least=60),
+            Case(cls(origin="foot_l", within_cm=30.0, max_nodes=5), inputs, least=40),
         ]
 
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from kinegraph.stream.errors import ParameterError, asked_to_end, explain, nearest
 from kinegraph.stream.graph import NodeOptions
 from kinegraph.stream.graph.components import Part, UseError, find
+from kinegraph.stream.graph.moved import parameter_today
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.wiring import Wires
 from kinegraph.stream.graph.reading.yaml_lines import Located
@@ -67,7 +68,11 @@ def read_node(name: str, entry: Located, problems: Problems) -> Draft | None:
         problems.add(str(error), use, name, cause=error.__cause__)
         return None
     draft = Draft(name, entry, kind)
-    _fill(draft, {key: at for key, at in entry.value.items() if key not in ("use", "from")}, problems)
+    _fill(
+        draft,
+        {parameter_today(kind, key): at for key, at in entry.value.items() if key not in ("use", "from")},
+        problems,
+    )
     return draft
 
 
