@@ -1,4 +1,4 @@
-"""Commands are thirteen at top level and the others in groups; a former name leads to the present one; packages add to both."""
+"""Commands are fourteen at top level and the others in groups; a former name leads to the present one; packages add to both."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from tests.support.command_line import KINEGRAPH, Command, refused, shell
 
 TOP = {
     "demo",
+    "lab",
     "run",
     "replay",
     "check",
@@ -63,7 +64,7 @@ def listed(text: str) -> set[str]:
     return {line.split()[0] for line in text.splitlines() if re.match(r"  \S", line)}
 
 
-def test_help_lists_thirteen_commands_and_the_groups(kinegraph: Command) -> None:
+def test_help_lists_fourteen_commands_and_the_groups(kinegraph: Command) -> None:
     code, out, _ = kinegraph("--help")
     assert code == 0 and listed(out) == {*TOP, "emg", "sleep", "motion", "files", "dev"}
     assert {name for name in names() if " " not in name} == TOP

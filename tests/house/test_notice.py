@@ -11,7 +11,7 @@ NOTICE = (ROOT / "NOTICE").read_text(encoding="utf-8")
 
 def test_every_package_in_the_pages_bundle_is_named() -> None:
     package = json.loads((ROOT / "devices" / "page" / "web" / "package.json").read_text(encoding="utf-8"))
-    named = {"three": "three.js", "uplot": "uPlot"}
+    named = {"three": "three.js", "uplot": "uPlot", "preact": "Preact"}
     assert all(named.get(name, name) in NOTICE for name in package["dependencies"])
 
 

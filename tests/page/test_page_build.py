@@ -45,11 +45,11 @@ def test_the_page_is_typed_strictly(bundle: Any, tmp_path: Path) -> None:
 def test_the_built_page_is_that_of_these_sources_and_small(bundle: Any) -> None:
     assert bundle.is_current(), "run python devices/page/web/bundle.py"
     files = [path.read_bytes() for path in BUILT.parent.iterdir() if path.suffix in {".html", ".js", ".css"}]
-    assert len(files) == 5
+    assert len(files) == 8
     assert sum(len(gzip.compress(content)) for content in files) < MOST_BYTES
 
 
-@pytest.mark.parametrize("path", sorted(WEB.glob("*.ts")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted([*WEB.glob("*.ts"), *WEB.glob("*.tsx")]), ids=lambda p: p.stem)
 def test_no_text_becomes_html_and_nothing_is_fetched_from_elsewhere(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if path.stem == "own":  # panels from outside the bundle, from the page's own address alone

@@ -26,7 +26,7 @@ STAMP = "sources.txt"
 def sources() -> str:
     """A hash of everything that the page is made of."""
     found = hashlib.sha256()
-    for path in sorted(p for p in WEB.iterdir() if p.suffix in {".ts", ".css", ".html", ".json"}):
+    for path in sorted(p for p in WEB.iterdir() if p.suffix in {".ts", ".tsx", ".css", ".html", ".json"}):
         found.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return found.hexdigest()
 

@@ -28,6 +28,8 @@ const [LONG_S, SHORTEST] = [300, 1 / 8];
 /** A panel of this width is as wide as the page. */
 const WHOLE = 4;
 const DRAW_MS = 1000 / 60;
+/** Within the lab, which has the session's name and its controls. */
+const EMBEDDED = window.parent !== window;
 const SLOW_DRAW_MS = 250;
 /** A machine that draws slowly rests for as long as it drew. */
 const BREATH = 2;
@@ -75,10 +77,12 @@ class Main implements Page {
   private over = "";
 
   constructor() {
+    document.body.classList.toggle("embedded", EMBEDDED);
     const dark = matchMedia("(prefers-color-scheme: dark)");
     this.theme(localStorage.getItem("theme") ?? (dark.matches ? "dark" : "light"));
     dark.onchange = () => { if (!localStorage.getItem("theme")) this.theme(dark.matches ? "dark" : "light"); };
     this.connection = new Connection((m, buffer, at) => this.hear(m, buffer, at), (state) => this.say(this.over && state !== "connected" ? `${this.over}; ${GONE}` : state));
+    addEventListener("storage", () => this.theme(localStorage.getItem("theme") ?? "light"));
     addEventListener("keydown", (event) => this.key(event));
     addEventListener("resize", () => {
       this.fill();
@@ -266,17 +270,18 @@ class Main implements Page {
       this.theme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark");
       localStorage.setItem("theme", document.documentElement.dataset["theme"] ?? "");
     };
+    const last = EMBEDDED ? [this.arranger.button] : [this.arranger.button, theme];
     const values = (this.over ? [] : hello.values).map((v) => this.slider(v));
     if (this.recording) {
       this.seek(Math.min(this.length, this.at || this.window_s / 2));
       this.gap.onclick = () => this.seek(this.timeline?.nextGap(this.at) ?? this.at);
       this.countGaps();
-      return this.controls.replaceChildren(this.player.button, this.player.speed, this.windows, this.gap, this.mark, button, this.arranger.button, theme);
+      return this.controls.replaceChildren(this.player.button, this.player.speed, this.windows, this.gap, this.mark, button, ...last);
     }
     const { button: hold, step, speed, whole } = this.replayer;
-    if (hello.mode === "replay") return this.controls.replaceChildren(hold, step, speed, whole, this.windows, this.arranger.button, theme);
-    const marking = hello.mode === "live" && !this.over ? [this.mark, button, ...(hello.words ?? []).map((word) => this.word(word))] : [];
-    this.controls.replaceChildren(...values, this.windows, this.pause, ...marking, this.arranger.button, theme);
+    if (hello.mode === "replay") return this.controls.replaceChildren(hold, step, speed, whole, this.windows, ...last);
+    const marking = hello.mode === "live" && !this.over && !EMBEDDED ? [this.mark, button, ...(hello.words ?? []).map((word) => this.word(word))] : [];
+    this.controls.replaceChildren(...values, this.windows, this.pause, ...marking, ...last);
   }
 
   private countGaps(): void {

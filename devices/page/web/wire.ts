@@ -94,8 +94,11 @@ const LONGEST_PAUSE_MS = 5000;
 export class Connection {
   private socket: WebSocket | null = null;
   private pause = FIRST_PAUSE_MS;
+  private closed = false;
 
-  constructor(private hear: (message: Message, buffer: ArrayBuffer, at: number) => void, private told: (state: string) => void) {
+  constructor(
+    private hear: (message: Message, buffer: ArrayBuffer, at: number) => void, private told: (state: string) => void, private readonly path = "socket"
+  ) {
     this.open();
   }
 
@@ -105,8 +108,14 @@ export class Connection {
     return true;
   }
 
+  /** Leave, and do not come back. */
+  close(): void {
+    this.closed = true;
+    this.socket?.close();
+  }
+
   private open(): void {
-    const url = new URL("socket", location.href);
+    const url = new URL(this.path, location.href);
     url.protocol = url.protocol.replace("http", "ws");
     url.search = location.search;
     const socket = new WebSocket(url);
@@ -114,6 +123,7 @@ export class Connection {
     socket.onopen = () => { this.pause = FIRST_PAUSE_MS; this.told("connected"); };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => this.hear(...decode(event.data));
     socket.onclose = () => {
+      if (this.closed) return;
       this.told("not connected; trying again");
       setTimeout(() => this.open(), this.pause);
       this.pause = Math.min(2 * this.pause, LONGEST_PAUSE_MS);

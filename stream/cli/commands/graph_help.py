@@ -29,7 +29,7 @@ def settings_help(command: str, arguments: Sequence[str]) -> str:
         top = read_expanded(named).items()
     except KinegraphError as error:
         return f"{named.stem} cannot be read: {error}"
-    settings = _outermost(read_settings(top.get("settings"), Problems(str(named))))
+    settings = outermost(read_settings(top.get("settings"), Problems(str(named))))
     if not settings:
         return f"{named.stem} declares no settings; --set NODE.PARAMETER=VALUE changes any parameter."
     width = max(map(len, settings))
@@ -37,7 +37,7 @@ def settings_help(command: str, arguments: Sequence[str]) -> str:
     return "\n".join([f"Settings of {named.stem} (--set NAME=VALUE):", *rows])
 
 
-def _outermost(settings: Mapping[str, GraphSetting]) -> dict[str, GraphSetting]:
+def outermost(settings: Mapping[str, GraphSetting]) -> dict[str, GraphSetting]:
     """Without those of inner parts that feed what an outer setting feeds."""
     shown: dict[str, GraphSetting] = {}
     fed: set[str] = set()
@@ -51,12 +51,12 @@ def _outermost(settings: Mapping[str, GraphSetting]) -> dict[str, GraphSetting]:
 def _described(name: str, setting: GraphSetting, top: Mapping[str, Located]) -> str:
     """One setting for people: "Low-pass: smoother below (a number from 1 to 60 Hz; default 20)"."""
     words = ": ".join(filter(None, [setting.label if setting.label != name else "", setting.help]))
-    value = _present(setting, top)
+    value = present(setting, top)
     facts = "; ".join(filter(None, [setting.accepts() or setting.unit, "" if value is None else f"default {value}"]))
     return f"{words} ({facts})" if words and facts else words or facts
 
 
-def _present(setting: GraphSetting, top: Mapping[str, Located]) -> Any:
+def present(setting: GraphSetting, top: Mapping[str, Located]) -> Any:
     """The value that the graph gives to the first parameter that a setting feeds."""
     for target in setting.targets:
         if (at := value_at(top, target)) is not None:

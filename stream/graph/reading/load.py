@@ -98,6 +98,18 @@ def read_expanded(path: Path) -> Located:
     return expand(parse(text, str(path)), path.parent, problems, IMPLICIT).root
 
 
+def rewritten(path: Path, overrides: Mapping[str, Any]) -> str:
+    """A graph's text with settings written into it, as a file of its own; parts are written out. Raises GraphError."""
+    path, text = read_text(path)
+    problems = Problems(str(path))
+    written = parse(text, str(path))
+    expanded = expand(written, path.parent, problems, IMPLICIT)
+    found = placed(expanded.root, overrides, KEYS)
+    root = override(expanded.root, found, problems)
+    problems.stop()
+    return plain_text(root, text) if expanded.files else rewrite(text, found, override(written, found, problems))
+
+
 def load_text(
     text: str,
     name: str = "graph",

@@ -1,0 +1,1 @@
+"""`kinegraph lab`: set up, run and finish sessions in a browser."""

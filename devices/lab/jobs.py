@@ -1,0 +1,43 @@
+"""What is done with sessions afterwards: other commands of kinegraph, each a process that ends."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import sys
+from pathlib import Path
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+async def kinegraph(home: Path, *arguments: str) -> tuple[int, str]:
+    """Call a command in the lab's folder: its exit code, and what it printed."""
+    return await _called(
+        home, sys.executable, "-P", "-c", "from kinegraph.stream.cli.main import main; main()", *arguments
+    )
+
+
+async def pdf(page: Path, into: Path) -> str:
+    """Print a report; why it could not be, else ""."""
+    program = next((found for name in CHROMIUM if (found := shutil.which(name))), None)
+    if program is None:
+        return "a PDF needs Chromium on this machine; or open the report, and print it to a file"
+    sandbox = ["--no-sandbox"] if _is_root() else []
+    code, out = await _called(
+        into.parent, program, "--headless", *sandbox, "--disable-gpu", "--no-pdf-header-footer", f"--print-to-pdf={into}", page.as_uri()
+    )  # fmt: skip
+    return "" if not code and into.is_file() else f"Chromium could not print it: {out[-300:]}"
+
+
+def _is_root() -> bool:
+    import os
+
+    return hasattr(os, "geteuid") and os.geteuid() == 0
+
+
+async def _called(folder: Path, *command: str) -> tuple[int, str]:
+    process = await asyncio.create_subprocess_exec(
+        *command, cwd=folder, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
+    )  # fmt: skip
+    out, _ = await process.communicate()
+    return process.returncode or 0, out.decode(errors="replace").strip()

@@ -1,0 +1,80 @@
+// Set up: the form of a graph, its devices, presets, and the start of a session.
+
+import { useEffect, useState } from "preact/hooks";
+import { type Form, type Found, get, send, type Value } from "./lab_api";
+import { Devices, Fields, type Values } from "./lab_form";
+
+/** Values that the next form of this graph begins with: those of the session that it repeats. */
+export const again: { graph: string; values: Values } = { graph: "", values: {} };
+
+export function Setup({ graph }: { graph: string }) {
+  const [form, setForm] = useState<Form | null>(null);
+  const [found, setFound] = useState<Found[] | null>(null);
+  const [values, setValues] = useState<Values>(again.graph === graph ? again.values : {});
+  const [simulate, setSimulate] = useState(true);
+  const [chosen, setChosen] = useState<Record<string, string>>({});
+  const [said, say] = useState("");
+  const [busy, setBusy] = useState(false);
+  useEffect(() => {
+    get<Form>(`api/form?graph=${encodeURIComponent(graph)}`).then(setForm, (error: Error) => say(error.message));
+    get<Found[]>("api/devices").then((all) => {
+      setFound(all);
+      setSimulate(!all.some((one) => one.use));
+    }, () => setFound([]));
+  }, [graph]);
+  if (!form) return <p class={said ? "bad" : "quiet"} role="status">{said || "reading the graph…"}</p>;
+  const change = (name: string, value: Value | undefined) =>
+    setValues((old) => {
+      const { [name]: _, ...rest } = old;
+      return value === undefined ? rest : { ...rest, [name]: value };
+    });
+  const all = (): Values => {
+    const given = { ...values };
+    if (!simulate)
+      for (const [node, address] of Object.entries(chosen)) {
+        const device = (found ?? []).find((one) => one.address === address);
+        for (const [name, value] of Object.entries(device?.parameters ?? {})) if (!(`${node}.${name}` in given)) given[`${node}.${name}`] = value;
+      }
+    return given;
+  };
+  const attempt = async (act: () => Promise<void>) => {
+    setBusy(true);
+    say("");
+    try {
+      await act();
+    } catch (error) {
+      say((error as Error).message);
+    }
+    setBusy(false);
+  };
+  const start = () => attempt(async () => {
+    const devices = form.devices.some((source) => source.can_simulate);
+    const { id } = await send<{ id: string }>("api/sessions", { graph, values: all(), simulate: simulate && devices });
+    location.hash = `#/session/${encodeURIComponent(id)}`;
+  });
+  const keep = () => {
+    const name = prompt("Name of the preset");
+    if (name) void attempt(async () => {
+      const { graph: made } = await send<{ graph: string }>("api/presets", { graph, name, values: all() });
+      say(`kept as ${made}; kinegraph run takes it`);
+    });
+  };
+  const facts = form.fields.filter((field) => field.name.startsWith("session."));
+  const settings = form.fields.filter((field) => !field.name.startsWith("session."));
+  return (
+    <form class="setup" onSubmit={(e) => { e.preventDefault(); void start(); }}>
+      <h1>{form.title}</h1>
+      <p class="quiet">{form.summary}</p>
+      <section><h2>Who</h2><Fields fields={facts} values={values} change={change} /></section>
+      <section><h2>Devices</h2>
+        <Devices sources={form.devices} found={found} simulate={simulate} choose={setSimulate} chosen={chosen} pick={(node, address) => setChosen((old) => ({ ...old, [node]: address }))} />
+      </section>
+      {settings.length ? <section><h2>Settings</h2><Fields fields={settings} values={values} change={change} /></section> : null}
+      <div class="actions">
+        <button type="submit" class="primary" disabled={busy}>Start</button>
+        <button type="button" disabled={busy} onClick={keep}>Save as preset</button>
+        <span role="status" class={said.startsWith("kept") ? "good" : "bad"}>{said}</span>
+      </div>
+    </form>
+  );
+}

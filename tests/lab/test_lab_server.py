@@ -1,0 +1,163 @@
+"""The lab's server: who is let in, and sessions that outlive it."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import json
+import re
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from kinegraph.devices.lab.app import Lab, app_of, listening
+from kinegraph.devices.lab.sessions import LabSession, Sessions
+from kinegraph.devices.page.access import Access
+from kinegraph.devices.page.address import Address
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.recording import Recording
+from tests.support.page_session import needs_page
+
+pytestmark = needs_page
+
+TOKEN = "a-token"
+GRAPH = """
+nodes:
+  board: {use: devices.people.treadmill.Treadmill}
+  rect: {use: operators.filters.rectify.Rectify, from: board.emg}
+"""
+
+
+class Client:
+    """A client of a lab at a port."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+
+    def ask(self, method: str, path: str, body: Any = None, **headers: str) -> tuple[int, Any]:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        given = {"Cookie": f"kinegraph-{self.port}={TOKEN}", "X-Client": "me", **headers}
+        connection.request(method, path, None if body is None else json.dumps(body), given)
+        answer = connection.getresponse()
+        text = answer.read()
+        connection.close()
+        kind = answer.headers.get("content-type", "")
+        return answer.status, json.loads(text) if kind.startswith("application/json") else text.decode(errors="replace")
+
+
+@contextmanager
+def lab(home: Path) -> Iterator[Client]:
+    """A lab in a thread of this process; it is gone afterwards, sessions are not."""
+    import uvicorn
+
+    heard = listening(Address(port=0))
+    port = heard.getsockname()[1]
+    config = uvicorn.Config(app_of(home, Access(TOKEN, port)), log_config=None, lifespan="off", ws="websockets-sansio")
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[heard])), daemon=True)
+    thread.start()
+    try:
+        yield Client(port)
+    finally:
+        server.should_exit = True
+        thread.join(20)
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
+    with lab(tmp_path_factory.mktemp("home")) as found:
+        yield found
+
+
+def test_without_the_token_nothing_is_answered(client: Client) -> None:
+    assert client.ask("GET", "/", Cookie="")[0] == 403
+    assert client.ask("GET", "/api/home", Cookie=f"kinegraph-{client.port}=wrong")[0] == 403
+    status, body = client.ask("GET", "/api/home")
+    assert status == 200 and body["sessions"] == [] and body["uses"]
+
+
+def test_the_token_in_the_address_becomes_a_cookie(client: Client) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", client.port, timeout=60)
+    connection.request("GET", f"/?token={TOKEN}")
+    answer = connection.getresponse()
+    assert answer.status == 303 and answer.headers["location"] == "/"
+    assert "HttpOnly; SameSite=Lax" in answer.headers["set-cookie"]
+    connection.close()
+
+
+def test_another_web_site_and_another_host_name_are_refused(client: Client) -> None:
+    asked = {"graph": "treadmill_emg", "values": {}}
+    assert client.ask("POST", "/api/sessions", asked, Origin="http://evil.example")[0] == 403
+    assert client.ask("GET", "/api/home", Host=f"evil.example:{client.port}")[0] == 403
+
+
+def test_answers_carry_what_browsers_must_refuse(client: Client) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", client.port, timeout=60)
+    connection.request("GET", "/", headers={"Cookie": f"kinegraph-{client.port}={TOKEN}"})
+    answer = connection.getresponse()
+    policy = answer.headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy and "frame-src 'self'" in policy
+    assert "unsafe" not in policy and answer.headers["x-content-type-options"] == "nosniff"
+    connection.close()
+
+
+def test_what_is_wrong_is_refused_in_words(client: Client) -> None:
+    status, body = client.ask("POST", "/api/sessions", {"graph": "../secret.yaml", "values": {}})
+    assert status == 400 and "no graph" in body["error"]
+    assert client.ask("GET", "/api/sessions/..%2F..%2Fetc")[0] in (400, 404)
+    assert client.ask("GET", "/api/sessions/nothing")[0] == 400
+    assert client.ask("POST", "/api/presets", [1])[0] == 400
+
+
+@pytest.mark.parametrize("name", ["..", ".", ".hidden", "a/b", "a\\b", ""])
+def test_no_session_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
+    with pytest.raises(KinegraphError, match="no such session"):
+        Sessions(tmp_path).of(name)
+
+
+def test_one_at_a_time_controls_a_session(tmp_path: Path) -> None:
+    lab = Lab(tmp_path)
+    assert lab.controls("s", "one") and not lab.controls("s", "two") and not lab.controls("s", "")
+    assert lab.controls("s", "two", take=True) and not lab.controls("s", "one")
+
+
+@pytest.mark.nightly
+def test_a_session_outlives_the_lab_and_the_next_lab_ends_it(tmp_path: Path) -> None:
+    (tmp_path / "graphs").mkdir()
+    (tmp_path / "graphs" / "small.yaml").write_text(GRAPH)
+    with lab(tmp_path) as first:
+        status, made = first.ask(
+            "POST", "/api/sessions", {"graph": "graphs/small.yaml", "values": {"session.subject": "P1"}}
+        )
+        assert status == 200
+        path = f"/api/sessions/{made['id']}"
+        wait(lambda: first.ask("GET", path)[1]["page"] and [*tmp_path.rglob("*.mcap")])
+    with lab(tmp_path) as second:
+        status, state = second.ask("GET", path)
+        assert status == 200 and state["runs"] and state["subject"] == "P1" and "token" not in state["output"]
+        status, page = second.ask("GET", f"/sessions/{made['id']}/")
+        assert status == 200 and "page.js" in page
+        assert second.ask("DELETE", path)[0] == 400, "it runs"
+        wait(lambda: second.ask("POST", f"{path}/mark", {"text": "seen"})[0] == 200)
+        assert second.ask("POST", f"{path}/mark", {"text": "not mine"}, **{"X-Client": "other"})[0] == 400
+        wait(lambda: re.search(r"seen", LabSession(tmp_path / "sessions" / made["id"]).output) is not None)
+        assert second.ask("POST", f"{path}/stop", {})[0] == 200
+        wait(lambda: not second.ask("GET", path)[1]["runs"])
+        state = second.ask("GET", path)[1]
+        assert state["error"] == "" and state["lasted_s"] > 0
+        with Recording.open(tmp_path / "sessions" / made["id"]) as recording:
+            assert recording.header["session"]["subject"] == "P1" and not recording.missing
+            assert recording.read("annotations")[1]["text"].tolist() == ["seen"]
+        assert second.ask("DELETE", path)[0] == 200 and not (tmp_path / "sessions" / made["id"]).exists()
+
+
+def wait(condition: Any, seconds: float = 120.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
