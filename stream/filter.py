@@ -31,6 +31,7 @@ import numpy as np
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, STAMP, Array, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.data.require import numeric, width_of
 from kinegraph.stream.data.state import pack, unpack
+from kinegraph.stream.domain.rotation import rotation_free
 from kinegraph.stream.errors import KinegraphError, nearest
 from kinegraph.stream.operator import Input, Operator
 from kinegraph.stream.params import param
@@ -106,6 +107,7 @@ class SampleWise(Operator[S]):
 
     kernel       what is done; `begin` may choose another
     keeps_dtype  whether the kernel takes samples of any dtype, and gives out the same; else it is given float64, and gives that
+    blends       whether numbers of several samples go into one: rotations are refused then
     """
 
     __slots__ = ("bound",)
@@ -113,6 +115,7 @@ class SampleWise(Operator[S]):
     contiguous = True
     kernel: ClassVar[Kernel]
     keeps_dtype: ClassVar[bool] = False
+    blends: ClassVar[bool] = False
     bound: Bound
 
     def begin(self, spec: StreamSpec) -> S | tuple[S, Kernel]:
@@ -134,6 +137,8 @@ class SampleWise(Operator[S]):
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         dtype = spec.dtype if self.keeps_dtype else numeric(spec).dtype
+        if self.blends:
+            rotation_free(spec)
         begun = self.begin(spec)
         state, kernel = begun if isinstance(begun, tuple) else (begun, type(self).kernel)
         self.set_state(state, delay_s=getattr(state, "delay_s", 0.0))
@@ -242,6 +247,7 @@ def reset_gap(default: float, help: str = RESET, *, above: float | None = None, 
 class Filter(SampleWise[S]):
     """What has a memory of the samples before: its state is a `FilterState`, and a gap longer than `reset_gap_s` resets it."""
 
+    blends: ClassVar[bool] = True
     reset_gap_s: float = reset_gap(0.1)
 
     def gap(self, chunk: Chunk) -> int:

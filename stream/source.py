@@ -67,7 +67,10 @@ class Feed(Protocol):
         """Count something that went wrong without ending the stream: 'bad packet', 'lost packet', 'resync'."""
 
     def tell(self, kind: str, **facts: str | float) -> None:
-        """Something rare that whoever reads the recording must know, with its size: into the log and the recording."""
+        """Something rare that whoever reads the recording must know, with its size: into the log and the recording.
+
+        `tell(REPORT, **Finding(...).facts())` is a claim that does not hold: an alarm, or as the node's `claims` has it the end.
+        """
 
     def device_clock(self, **facts: float) -> None:
         """What is known of the device's clock now (`offset_s`, `drift_ppm`, `uncertainty_s`, ...): into the metrics."""
@@ -87,6 +90,8 @@ class Source:
     outputs: ClassVar[tuple[str, ...]] = ("out",)
     background: ClassVar[bool] = False
     """Whether a session may start and end without this source (a person's annotations)."""
+    rate_tolerance: ClassVar[float] = 0.03
+    """By which share samples may come at another rate than declared before that is a finding."""
     may_appear: ClassVar[bool] = False
     """Whether what is `missing` before a session may well come by itself (a stream of another program): it is named and waited for."""
 
@@ -101,6 +106,11 @@ class Source:
     def live(self) -> bool:
         """Whether what is not read is gone: then samples from before the common start are left out. A file waits instead."""
         return True
+
+    @property
+    def refuses(self) -> frozenset[str]:
+        """The kinds of findings that end the session, whatever the node's `claims` says."""
+        return frozenset()
 
     @property
     def chunk_s(self) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinegraph.devices.clocks.device_time import STILL_NS, STILL_STEPS
 from kinegraph.devices.clocks.mismatch_text import of_rate, of_turn, of_unit
 from kinegraph.stream.chunk import NS, Samples, Times
+from kinegraph.stream.domain.finding import REPORT, Finding, wrong_rate
 from kinegraph.stream.errors import DeclarationError
 from kinegraph.stream.source import Feed
 
@@ -146,7 +147,18 @@ class RateCheck:
         if not self._stood:
             self._stood = True
             feed.problem("time stands still")
-            feed.tell("rate mismatch", text=text)
+            self._find("clock", text, feed)
+
+    def _find(self, kind: str, seen: str, feed: Feed, hz: float = 0.0) -> None:
+        """Whatever was found, with what is to be set, is in `seen`, in words."""
+        if hz and self._rate:
+            made = wrong_rate(self._device, self._rate, hz, seen)
+        else:
+            consequence = "stamps follow the arrivals, which jitter"
+            made = Finding(
+                kind, self._device, "", seen, consequence, "set what the device sends, or leave its time out"
+            )
+        feed.tell(REPORT, **made.facts())
 
     def _may_be_loss(self, hz: float) -> bool:
         """Whether a rate is one that the declared one becomes where samples are lost on the way, unseen."""
@@ -220,7 +232,7 @@ class RateCheck:
             raise DeclarationError(f"{self._device} is not as declared: {text}{more}")
         feed.problem("rate mismatch")
         if not hz or abs(hz / self._told - 1) > TOLD_AGAIN:
-            feed.tell("rate mismatch", measured_hz=round(hz, 2), declared_hz=self._rate or 0.0, text=text)
+            self._find("rate" if hz else "clock", text, feed, hz)
         self._told = hz or self._told
         return hz or None
 

@@ -95,20 +95,20 @@ def _write(
 
     if not any(len(one.time) for one in series):
         raise RecordingError(f"{', '.join(map(str, files))}: there are no samples to record")
-    doubts = options.findings.doubts
+    doubts, found = options.findings.doubts, [finding.facts() for finding in options.findings.claims]
     imported = {"files": [file.name for file in files], "at": datetime.now(UTC).isoformat(timespec="seconds")}
     header = {
         "graph": "",
         "session": {**options.findings.facts, **facts},
-        "imported": {**imported, **({"doubts": doubts} if doubts else {})},
+        "imported": {**imported, **({"doubts": doubts} if doubts else {}), **({"findings": found} if found else {})},
         "versions": versions(),
     }
     with bar(f"importing {', '.join(file.name for file in files)}") as progress:
         write_recording(output, series, header, chunk_s=chunk_s, overwrite=overwrite, progress=progress)
     for one in series:
         say(f"{one.name}: {len(one.time)} samples, {one.spec.describe()}")
-    for doubt in doubts:
-        say(f"doubtful: {doubt}", err=True)
+    for text in (*doubts, *(finding.text for finding in options.findings.claims)):
+        say(f"doubtful: {text}", err=True)
 
 
 def _declare_axes(series: Sequence[Series], up: dict[str, str], forward: dict[str, str]) -> None:

@@ -31,8 +31,8 @@ def show(series: Sequence[Series], findings: Findings) -> None:
             say(f"    {line}")
     if findings.facts:
         say("\nfacts: " + ", ".join(f"{key} {value}" for key, value in findings.facts.items()))
-    for doubt in findings.doubts:
-        say(f"\ndoubtful: {doubt}")
+    for text in (*findings.doubts, *(finding.text for finding in findings.claims)):
+        say(f"\ndoubtful: {text}")
 
 
 def _lines(one: Series) -> list[str]:

@@ -53,7 +53,7 @@ def _xdf(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[lis
             dejitter=options.dejitter,
             synchronize=options.clock_sync,
             claims=options.claims,
-            doubts=options.findings.doubts,
+            findings=options.findings,
         )
         for one in made:
             if facts := options.meta.get(one.name):

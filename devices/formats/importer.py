@@ -127,5 +127,24 @@ def read_files(files: Sequence[Path], options: ImportOptions, *, kinect: bool = 
             raise RecordingError(f"{', '.join(map(str, mine))}: {error}") from None
         for file in mine:
             options.findings.kinds.setdefault(file, one.what)
+        for stream in made:
+            _pass_gate(stream, mine[0] if len(mine) == 1 else Path(stream.name), options)
         series += made
     return series
+
+
+def _pass_gate(one: Series, file: Path, options: ImportOptions) -> None:
+    """Compare what a stream claims with its samples, as `options.claims` has it; signs of rotations become continuous."""
+    from kinegraph.devices.formats.timing import lost_by_stamps, snapped
+    from kinegraph.stream.domain.claims import WRONG_BY_STAMPS, ClaimGate, check_series
+    from kinegraph.stream.domain.rotation import RotationSigns, rotations
+
+    remedy = "read it at its own rate with --claims measured"
+    gate = ClaimGate(one.name, one.spec, wrong=WRONG_BY_STAMPS, remedy=remedy)
+    for finding in check_series(gate, one.time, one.data, one.lost):
+        options.findings.find(file, finding, options.claims)
+        if finding.kind == "rate" and options.claims == "measured":
+            rate = snapped(gate.measured_hz)
+            one.spec, one.lost = one.spec.derive(rate_hz=rate), lost_by_stamps(one.time, rate)
+    if starts := rotations(one.spec):
+        one.data = RotationSigns(starts).of(one.data)

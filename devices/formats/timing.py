@@ -18,6 +18,8 @@ MOST_NS = 1 << 62
 """Times farther from 1970 than this (146 years) are refused: they cannot be real, and further on int64 overflows."""
 MOST_HZ = 1e9
 """No stamp is finer than a nanosecond."""
+UNEVEN = 0.25
+"""Where the usual step is so far from the declared period, in periods, the rate is another one."""
 SNAP = 1e-4
 """A measured rate within this share of a whole number (or of a tenth) is that number."""
 
@@ -134,6 +136,16 @@ def snapped(rate: float) -> float:
         if near > 0 and abs(rate - near) <= SNAP * rate:
             return near
     return rate
+
+
+def lost_by_stamps(time: Times, rate: float) -> Array | None:
+    """Samples missing where a regular stream's times leap by more than one and a half periods; None: no sample is, or they do not come at
+    this rate at all."""
+    steps = np.diff(time)
+    if not len(steps) or abs(float(np.median(steps)) * rate / NS - 1.0) > UNEVEN:
+        return None
+    missing = np.round(steps * (rate / NS)).astype(np.int64) - 1
+    return np.concatenate([[0], np.maximum(missing, 0)]) if (missing > 0).any() else None
 
 
 def lost_by_counter(counter: Array, what: str, *, repeated: bool = False) -> tuple[Array, Array, str]:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
-from kinegraph.devices.clocks.rate_check import POLICY_HELP, Policy
+import numpy as np
+
 from kinegraph.devices.clocks.timing import timing_spec
+from kinegraph.devices.formats.timing import snapped
 from kinegraph.devices.lsl.connection import Connection, opened
 from kinegraph.devices.lsl.find import Wanted, find, missing
-from kinegraph.devices.lsl.metadata import TEXT, describe, differences, marker_spec, signal_spec
+from kinegraph.devices.lsl.metadata import INTEGERS, TEXT, describe, differences, marker_spec, signal_spec
 from kinegraph.devices.lsl.network import ANY, Network, library
 from kinegraph.devices.lsl.pull import Pull
 from kinegraph.stream.chunk import Specs, StreamSpec
+from kinegraph.stream.domain.claims import WRONG_BY_STAMPS
 from kinegraph.stream.errors import DeviceError, ParameterError
 from kinegraph.stream.params import param
 from kinegraph.stream.source import Feed, Source
+
+MEASURED_S, MOST_MEASURED_S, ENOUGH = 3.0, 10.0, 50
+"""A rate is measured over so long, or at most, and by so many samples."""
 
 
 class _Probing(Source):
@@ -46,6 +53,7 @@ class LslInlet(_Probing):
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
     may_appear: ClassVar[bool] = True
+    rate_tolerance: ClassVar[float] = WRONG_BY_STAMPS
 
     name: str = param("", help="the stream's name")
     type: str = param("", help="its content type: EMG, EEG, Markers, ...")
@@ -54,7 +62,7 @@ class LslInlet(_Probing):
     channels: tuple[str, ...] | int = param(0, least=0, help="the channels' labels, or only how many there are")
     rate_hz: float = param(0.0, least=0, help="nominal rate; 0: irregular")
     unit: tuple[str, ...] | str = param("", help="of all channels, or one for each: uV, mV, g, ...")
-    markers: bool = param(False, help="the stream holds texts, not numbers")
+    markers: bool = param(False, help="the stream holds markers: texts, or whole numbers, which become texts")
     text_width: int = param(64, least=1, most=65536, help="characters that a marker may have; longer ones are cut")
     probe: bool = param(False, help="look at the stream when the graph is loaded, instead of declaring it")
     resolve_s: float = param(5.0, above=0, most=600, help="how long to search for the stream")
@@ -63,7 +71,11 @@ class LslInlet(_Probing):
         0.5, above=0, help="a longer step between stamps is a gap; an even sender's gaps are seen at two periods"
     )
     latency_s: float = param(0.0, least=0, help="how long before its stamp a sample really was taken")
-    rate_mismatch: Policy = param("warn", help=POLICY_HELP)
+    rate_mismatch: Literal["warn", "fail", "measured"] = param(
+        "warn",
+        help="samples that come at another rate than the stream claims raise the alarm, or end the session; `measured`: what counts is the "
+        "graph's `rate_hz`, or with `probe: true` the rate that is measured when the graph is loaded",
+    )
     network: Network = param(ANY, help="how far LSL looks; one for the whole graph")
 
     def specs(self) -> Specs:
@@ -90,9 +102,11 @@ class LslInlet(_Probing):
         with opened(lsl, found, feed) as connection:
             if connection is not None:
                 self._check(connection)
-                Pull(
-                    connection, self._spec, feed, self.gap_s, self.latency_s, self.lost_after_s, self.rate_mismatch
-                ).run()
+                Pull(connection, self._spec, feed, self.gap_s, self.latency_s, self.lost_after_s).run()
+
+    @property
+    def refuses(self) -> frozenset[str]:
+        return frozenset({"rate"} if self.rate_mismatch == "fail" else ())
 
     @property
     def _wanted(self) -> Wanted:
@@ -125,16 +139,21 @@ class LslInlet(_Probing):
             described = describe(inlet.info(self.resolve_s).as_xml())
         except RuntimeError as error:
             raise DeviceError(f"the LSL stream with {self._wanted} does not describe itself: {error}") from None
-        if described.format == TEXT:
+        if described.format == TEXT or (self.markers and described.format in INTEGERS):
             spec = marker_spec(described.labels or described.count, self.text_width, described.type)
         else:
             spec = described.spec
+            if self.rate_mismatch == "measured" and spec.rate_hz:
+                spec = spec.derive(rate_hz=_measured(inlet, spec.rate_hz))
         object.__setattr__(self, "probed", spec)
         return spec
 
     def _check(self, connection: Connection) -> None:
         """Refuse a stream that is not what the graph was checked with."""
-        result = differences(connection.described, self._spec)
+        described = connection.described
+        if self.rate_mismatch == "measured":
+            described = replace(described, rate_hz=self._spec.rate_hz or 0.0)
+        result = differences(described, self._spec)
         if result:
             hint = (
                 "has it changed since the graph was loaded?"
@@ -146,8 +165,21 @@ class LslInlet(_Probing):
             )
 
 
-def _sleep(seconds: float) -> bool:
-    import time
+def _measured(inlet: Any, claimed_hz: float) -> float:
+    """The rate at which samples come, by their stamps over a few seconds; the claimed one where that holds."""
+    stamps: list[float] = []
+    began = time.monotonic()
+    while time.monotonic() < began + MOST_MEASURED_S:
+        stamps += inlet.pull_chunk(0.2)[1]
+        if len(stamps) > ENOUGH and stamps[-1] - stamps[0] > MEASURED_S:
+            break
+    steps = np.diff(stamps)
+    if len(steps) < ENOUGH or not stamps[-1] > stamps[0]:
+        return claimed_hz
+    hz, jitter = len(steps) / (stamps[-1] - stamps[0]), 2 * float(steps.max()) / (stamps[-1] - stamps[0])
+    return claimed_hz if abs(hz / claimed_hz - 1) < WRONG_BY_STAMPS + jitter else snapped(hz)
 
+
+def _sleep(seconds: float) -> bool:
     time.sleep(seconds)
     return False

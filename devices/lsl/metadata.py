@@ -12,6 +12,8 @@ from kinegraph.stream.chunk import StreamSpec
 from kinegraph.stream.errors import DeviceError
 
 TEXT = "string"
+INTEGERS = ("int8", "int16", "int32", "int64")
+"""Formats of numbers that may be markers, too: a code each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,7 @@ def our_unit(unit: str) -> str:
 def differences(found: Described, declared: StreamSpec) -> list[str]:
     """What of a stream is not as it was declared; what it does not say of itself is no difference."""
     texts, numbers = declared.is_event, found.format != TEXT
-    if texts == numbers:
+    if texts == numbers and not (texts and found.format in INTEGERS):
         return [f"it holds {'numbers' if numbers else 'texts'}, declared are {'texts' if texts else 'numbers'}"]
     lines = []
     names = declared.channels[1:] if texts else declared.channels

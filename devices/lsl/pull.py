@@ -8,13 +8,13 @@ import numpy as np
 import structlog
 
 from kinegraph.devices.clocks.clock_log import ClockLog
-from kinegraph.devices.clocks.rate_check import Policy, RateCheck
 from kinegraph.devices.clocks.timing import timing_chunk
 from kinegraph.devices.lsl.clock import SenderClock, zero_ns
 from kinegraph.devices.lsl.connection import Connection
 from kinegraph.devices.lsl.find import is_there
 from kinegraph.devices.lsl.stamps import LslStamps, Mapped
-from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.finding import REPORT, Finding
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.source import Feed
 
@@ -26,12 +26,10 @@ THERE_S = 2.0
 """How long a silent outlet may take to answer."""
 TIMING_S = 0.1
 """How long events of `timing` are gathered."""
-WRONG = 0.01
-"""By more than this no sender's clock is off that stamps its own samples."""
+UNORDERED_S = 0.1
+"""A stamp may run back so far by how a sender happens to take its samples."""
 QUICKEST_S = 0.05
 """LSL does not find an outlet again within less."""
-MAX_STAMP_S = 2.0**61 / NS
-"""Beyond 73 years, no differences of stamps fit into 64 bits."""
 
 log = structlog.get_logger(__name__)
 
@@ -47,25 +45,14 @@ class Pull:
         gap_s: float,
         latency_s: float,
         lost_after_s: float,
-        rate_mismatch: Policy = "warn",
     ) -> None:
         self._connection, self._spec, self._feed, self._lost_after = connection, spec, feed, lost_after_s
         zero = zero_ns(connection.lsl, feed.now)
         self._stamps = LslStamps(spec.rate_hz, zero, gap_s, latency_s)
-        self._rate = (
-            RateCheck(
-                f"the LSL stream {connection.described.name!r}",
-                spec.rate_hz,
-                rate_mismatch,
-                wrong=WRONG,
-                has_clock=False,
-            )
-            if spec.rate_hz
-            else None
-        )
         self._clock = SenderClock(zero / NS)
         self._told_clock = ClockLog(connection.described.name, feed, self._clock.state)
         self._count = 0
+        self._found: set[str] = set()
         self._timing: list[tuple[int, int, int, int]] = []
         self._timing_lost = 0
         self._told = self._asked = time.monotonic()
@@ -124,8 +111,6 @@ class Pull:
         samples = self._events(mapped, data) if self._spec.is_event else _numbers(data)
         self._count += len(times)
         self._timing.append((self._count - 1, _ns(stamps.item(-1)), arrival, times.item(-1)))
-        if self._rate is not None and not reconnected:
-            self._rate.see(len(stamps), 0, arrival, self._feed, _device_times(stamps))
         if gaps or mapped.backwards or mapped.impossible:
             self._count_problems(mapped)
         if not gaps:
@@ -147,18 +132,41 @@ class Pull:
         if mapped.impossible:
             self._feed.problem("impossible stamp", mapped.impossible)
         if mapped.shifted_s:
-            text = f"its stamps are of another clock: they are moved by {mapped.shifted_s:.3f} s, to their arrival"
             self._feed.problem("stamps of another clock")
-            self._feed.tell("stamps of another clock", shifted_s=round(mapped.shifted_s, 3), text=text)
+            seen = f"stamps that are {-mapped.shifted_s:.3f} s off"
+            consequence = "they are moved to their arrival, and keep their pace from there"
+            self._find("epoch", "stamps of LSL's clock", seen, consequence, int(mapped.time[-1]))
+        if mapped.back_s > UNORDERED_S:
+            seen = f"a sample stamped {mapped.back_s:.3f} s before an earlier one"
+            self._find(
+                "order",
+                "samples in the order of time",
+                seen,
+                "it is moved to the stamp of that one",
+                int(mapped.time[-1]),
+            )
+        if mapped.impossible:
+            seen = "stamps that are an hour old, of the future, or no numbers"
+            self._find("epoch", "stamps of LSL's clock", seen, "their arrival is taken", int(mapped.time[-1]))
+
+    def _find(self, kind: str, claimed: str, seen: str, consequence: str, since_ns: int) -> None:
+        """Report a claim that does not hold, once of a kind."""
+        if kind not in self._found:
+            self._found.add(kind)
+            remedy = "stamp samples with LSL's local_clock(), in their order"
+            made = Finding(kind, self._connection.described.name, claimed, seen, consequence, remedy, since_ns)
+            self._feed.tell(REPORT, **made.facts())
 
     def _events(self, mapped: Mapped, texts: Array) -> Array:
-        """Markers (n, channels) as events; what is too long is cut, and counted."""
+        """Markers (n, channels), texts or whole numbers, as events; what is too long is cut, and counted."""
         dtype = self._spec.dtype
         assert dtype.names
         events = np.empty(len(texts), dtype)
         events["onset"] = mapped.time
         for i, field in enumerate(dtype.names[1:]):
-            decoded = [text.decode("utf-8", "replace") for text in texts[:, i]]
+            decoded = [
+                text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in texts[:, i]
+            ]
             width = dtype[field].itemsize // 4
             if cut := sum(len(text) > width for text in decoded):
                 self._feed.problem("marker cut short", cut)
@@ -194,11 +202,6 @@ def _numbers(data: Array) -> Samples:
     """As float64; bits of a float32 that some processors signal for are NaN like others."""
     with np.errstate(invalid="ignore"):
         return data.astype(np.float64)
-
-
-def _device_times(stamps: Samples) -> Times:
-    """Stamps (n,) in s as nanoseconds; ones that no clock shows become the first or last that differences of can be written in 64 bits."""
-    return np.round(np.clip(np.nan_to_num(stamps), -MAX_STAMP_S, MAX_STAMP_S) * NS).astype(np.int64)
 
 
 def _ns(seconds: float) -> int:

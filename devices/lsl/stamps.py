@@ -34,6 +34,7 @@ class Mapped:
     gaps         (index, lost) where samples are missing before it; -1: unknown
     backwards    how many stamps lay before an earlier one, and were moved to it
     impossible   how many stamps could not be of LSL's clock; their arrival is taken
+    back_s       how far the farthest of them was moved
     shifted_s    by how much stamps are moved from this read on, because they are of another clock; 0.0: no more than before
     """
 
@@ -42,6 +43,7 @@ class Mapped:
     backwards: int
     impossible: int
     shifted_s: float = 0.0
+    back_s: float = 0.0
 
 
 class LslStamps:
@@ -105,7 +107,7 @@ class LslStamps:
         gaps: list[tuple[int, int]] = []
         backwards = impossible = 0
         floor = self._last + 1 if self._last is not None else None
-        shifted = 0.0
+        shifted = back_s = 0.0
         for i, raw in enumerate(raws):
             raw += shifted
             is_possible = oldest < raw < newest
@@ -126,12 +128,13 @@ class LslStamps:
             time = round(raw * NS) + shift
             if floor is not None and time < floor:
                 backwards += floor - time > NOTICED_NS
+                back_s = max(back_s, (floor - time) / NS)
                 time = floor
             self._raw, floor = raw, time
             times.append(time)
         self._last = times[-1]
         self._moved += shifted
-        return Mapped(np.array(times, np.int64), gaps, backwards, impossible, shifted)
+        return Mapped(np.array(times, np.int64), gaps, backwards, impossible, shifted, back_s)
 
     def _is_another_clock(self, raw: float) -> bool:
         """Whether this stamp, which does not follow the ones before, is the last of enough of them."""

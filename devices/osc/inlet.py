@@ -67,7 +67,7 @@ class OscInlet(Source):
     timing   an event per message: its counter, the sender's time, arrival, stamp
 
     Stamps follow the sender's time where a message brings it, else the counter (with `rate_hz`), else the arrival. UDP loses and doubles
-    messages: only a counter or a time tells. A message of another shape is counted and left out.
+    messages: only a counter or a time tells. What is left out is counted by reason.
     """
 
     streams: tuple[OscStream, ...] = param(help="what is taken")
@@ -139,6 +139,8 @@ class OscInlet(Source):
                     continue
                 arrival = feed.now()
                 for address, arguments in messages:
+                    if address not in readings:
+                        feed.problem("message of an address that no stream takes")
                     for reading in readings.get(address, ()):
                         last = reading.take(arguments, arrival, last, feed)
 
@@ -169,8 +171,8 @@ class OscReading:
     def take(self, arguments: Sequence[Argument], arrival: int, last: int, feed: Feed) -> int:
         """Emit a message; `last`: the stamp of the last event of `timing`, of which the newest is returned."""
         row = self._row(arguments)
-        if row is None:
-            feed.problem("message of another shape")
+        if isinstance(row, str):
+            feed.problem(row)
             return last
         own = counter = None
         if self._time is not None:
@@ -191,18 +193,18 @@ class OscReading:
         feed.emit(event, "timing")
         return event.until
 
-    def _row(self, arguments: Sequence[Argument]) -> list[float] | None:
-        """The channels in their units; None where an argument that is wanted is no number."""
+    def _row(self, arguments: Sequence[Argument]) -> list[float] | str:
+        """The channels in their units; or why there are not all of them."""
         if len(arguments) < self._least:
-            return None
+            return "message with too few arguments"
         for i in self._whole:
             if not math.isfinite(_number(arguments[i])):
-                return None
+                return "message with a counter or time that is no number"
         row = []
         for i, scale in zip(self._places, self._scale, strict=True):
             a = arguments[i]
             if not isinstance(a, (int, float)):
-                return None
+                return "message with something else than a number"
             row.append(float(a) * scale)
         return row
 

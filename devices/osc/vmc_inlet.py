@@ -53,5 +53,9 @@ class Vmc(Source):
                 except OscError:
                     feed.problem("not OSC")
                     continue
+                for why, count in frames.dropped.items():
+                    if count:
+                        feed.problem(why, count)
+                frames.dropped.clear()
                 for row in rows:
                     feed.emit(Chunk(np.array([now]), row[None], now))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -76,6 +77,7 @@ class SelfSimilarity(Filter[SelfSimilarityState]):
            [ 1.,  4.]])
     """
 
+    blends: ClassVar[bool] = False
     every: int = param(15, least=1, help="compare one frame in this many")
     lags: int = param(120, least=2, most=1000, help="with how many frames before it")
     reset_gap_s: float = reset_gap(60.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -52,6 +53,7 @@ class Decimate(Filter[DecimateState]):
     array([0., 3., 6.])
     """
 
+    blends: ClassVar[bool] = False
     every: int = param(least=1, help="keep one sample in this many")
     kernel = thin_on
 

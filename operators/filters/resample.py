@@ -15,6 +15,7 @@ from kinegraph.operators.inputs.continuity import Continuity, back, watch
 from kinegraph.stream.chunk import NEVER, NS, STAMP, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.data.design_cache import remembered
 from kinegraph.stream.data.require import numeric, regular
+from kinegraph.stream.domain.rotation import rotation_free
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.kernel import kernel
@@ -130,6 +131,7 @@ class Resample(Operator[ResampleState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = numeric(specs["in"])
+        rotation_free(spec)
         rate_hz = regular(spec)
         up, down = ratio(self.rate_hz, rate_hz)
         taps, half = low_pass(up, down, self.half_length)

@@ -126,11 +126,10 @@ class IngressPort:
         return empty(self.edge.spec, until)
 
     def tell(self, chunk: Chunk, late: int, ahead_ns: int, report: Callable[..., None]) -> None:
-        """Report samples that came too late, and, once, stamps that lie ahead of the clock."""
+        """Report samples that came too late; stamps that are ahead of the clock are a finding."""
         if ahead_ns:
             self.checks_clock = False
-            hint = "Feed.now() and devices.clocks give stamps of the session's clock"
-            report("stamps lie ahead of the clock", stream=self.stream, ahead_s=round(ahead_ns / NS, 1), hint=hint)
+            self.supervisor.gates[self.output].is_ahead(ahead_ns, chunk.until)
         if late:
             self.late += late
             units = "stamps are nanoseconds since 1970, as Feed.now() gives them"

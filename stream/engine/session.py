@@ -232,6 +232,11 @@ class Session:
             raise self._error
 
     def _measure(self, *, last: bool = False) -> None:
+        for supervisor in self._supervisors:
+            try:
+                supervisor.look(over=last)
+            except KinegraphError as error:
+                self._error = self._error or error
         self.table = table_of(self.pipeline, self._ingress.ports, self._workers, self.log.status, self._rates)
         self.log.metrics(self.table)
         self._error = self._error or (None if last else self._memory.exceeded())

@@ -11,11 +11,22 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 import structlog
 
-from kinegraph.stream.chunk import FOREVER, NS, Chunk, empty, utc
+from kinegraph.stream.chunk import FOREVER, NS, Chunk, empty
+from kinegraph.stream.domain.claims import ClaimGate
+from kinegraph.stream.domain.finding import REPORT, Finding
+from kinegraph.stream.domain.rotation import RotationSigns, rotations
 from kinegraph.stream.engine.flow.admission import conform, ordered, soundness
 from kinegraph.stream.engine.flow.promise import END, MOST_LOST, PromiseError, impossible
 from kinegraph.stream.engine.flow.queues import BoundedQueue, ReadyQueue
-from kinegraph.stream.errors import DeviceError, KinegraphError, RunError, blaming, explain, nearest
+from kinegraph.stream.errors import (
+    DeclarationError,
+    DeviceError,
+    KinegraphError,
+    RunError,
+    blaming,
+    explain,
+    nearest,
+)
 from kinegraph.stream.graph import Edge, Node, policy_of
 from kinegraph.stream.graph.backpressure import max_bytes
 from kinegraph.stream.source import Source
@@ -114,7 +125,10 @@ class _Feed:
         self._supervisor.problems[kind] += count
 
     def tell(self, kind: str, **facts: str | float) -> None:
-        self._supervisor.report(kind, node=self._supervisor.node.name, **facts)
+        if kind == REPORT:
+            self._supervisor.find(Finding.from_facts(facts))
+        else:
+            self._supervisor.report(kind, node=self._supervisor.node.name, **facts)
 
     def device_clock(self, **facts: float) -> None:
         self._supervisor.clock_facts = facts
@@ -127,6 +141,8 @@ class _Feed:
         sound = supervisor.sound.get(output)
         if sound is None or not sound(chunk):
             chunk = supervisor.mended(chunk, output)
+        if output in supervisor.turned:
+            chunk = Chunk(chunk.time, supervisor.turned[output].of(chunk.data), chunk.until, chunk.lost)
         if self._unmarked and len(chunk.time) and output in self._unmarked:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
@@ -144,6 +160,9 @@ class SourceSupervisor:
 
     queues     per output, the queue to the graph's thread
     inline     per output, the way into the graph without it
+    gates      per output, what compares its claims with what arrives
+    turned     per output with rotations, what makes their signs continuous
+    findings   claims that do not hold, in the order in which they were found
     sound      per output, what tells whether a chunk can be taken as it is
     has_readers whether anybody waits for what this source says
     now        session time, as the source sees it
@@ -169,7 +188,15 @@ class SourceSupervisor:
             for output in node.specs
         }
         self.inline: dict[str, Inline] = dict.fromkeys(node.specs, not_inline)
-        self.sound = {output: soundness(spec) for output, spec in node.specs.items()}
+        self.gates = {
+            output: ClaimGate(str(Edge(node.name, output)), spec, wrong=self.source.rate_tolerance)
+            for output, spec in node.specs.items()
+        }
+        self.sound = {output: soundness(spec, self.gates[output]) for output, spec in node.specs.items()}
+        self.turned = {
+            output: RotationSigns(starts) for output, spec in node.specs.items() if (starts := rotations(spec))
+        }
+        self.findings: list[Finding] = []
         self.has_readers = True
         self.now: Callable[[], int] = clock.now
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
@@ -183,7 +210,7 @@ class SourceSupervisor:
         self._opened = 0.0
         self._retry_at = 0.0
         self._pause_s = FIRST_PAUSE_S
-        self._absent = False
+        self._absent = self._refused = False
         self._feed: _Feed | None = None
         self._thread: threading.Thread | None = None
 
@@ -242,6 +269,8 @@ class SourceSupervisor:
 
     def _is_due(self, now: float) -> bool:
         """Whether a source that failed is to be opened: never while its device is not there, at once when it has come back."""
+        if self._refused:
+            return False
         with blaming(self.node.name, "present"):
             there = self.source.present()
         if there is False:
@@ -273,6 +302,7 @@ class SourceSupervisor:
             raise DeviceError(
                 f"source {self.node.name!r} gave samples for an output {output!r} that it does not have: {nearest(output, self.node.specs)}"
             )
+        gate = self.gates[output]
         chunk = conform(spec, chunk)
         time, data = chunk.time, chunk.data
         if data.shape != (len(time), *spec.shape):
@@ -284,12 +314,41 @@ class SourceSupervisor:
         if dropped:
             self.problems["time ran backwards"] += dropped
             at = next(b for a, b in zip(time.tolist(), time[1:].tolist(), strict=False) if b < a)
-            self.report("time ran backwards", node=self.node.name, samples=dropped, at=utc(at))
+            gate.ran_backwards(dropped, at)
         if not (until < END and chunk.until < END and -1 <= chunk.lost <= MOST_LOST) or (
             len(time) and time.item(0) <= -END
         ):
             raise PromiseError(self.node.name, output, impossible(before), before, kind="source")
+        gate.see(chunk)
         return chunk
+
+    def look(self, *, over: bool = False) -> None:
+        """Report what is new of claims that do not hold. Raises DeclarationError where that ends the session."""
+        for gate in self.gates.values():
+            for finding in gate.look(over=over):
+                if not any(known.kind == finding.kind for known in self.findings):
+                    try:
+                        self.find(finding)
+                    except DeclarationError as error:
+                        if self.node.options.required:
+                            raise
+                        self._give_up(str(error))
+
+    def find(self, finding: Finding) -> None:
+        """A claim does not hold. Raises DeclarationError where that ends the session."""
+        self.findings.append(finding)
+        self.report(REPORT, node=self.node.name, **finding.facts())
+        if self.node.options.claims == "refuse" or finding.kind in self.source.refuses:
+            raise DeclarationError(
+                f"source {self.node.name!r} is not as declared: {finding.text}; `claims: warn` goes on"
+            )
+
+    def _give_up(self, error: str) -> None:
+        """An optional source that is refused is closed and stays so; the session goes on."""
+        self._refused = True
+        if self._feed:
+            self._feed.stop()
+        self._failed(error)
 
     def _work(self, feed: _Feed) -> None:
         try:
@@ -298,6 +357,11 @@ class SourceSupervisor:
                 self._end()
         except _StopReadingError:
             pass
+        except DeclarationError as error:
+            if self.node.options.required:
+                self._fatal(error)
+            elif not feed.stopped:
+                self._failed(str(error))
         except RunError as error:
             self._fatal(error)
         except KinegraphError as error:

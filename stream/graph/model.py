@@ -41,6 +41,8 @@ class NodeOptions:
     patience_s  after how long without a chunk the engine declares that nothing happened (advances `until`); 0: never
     silence_s   after how long without a chunk a source is closed and reopened; 0: never
     stale_s     after how long without a chunk an alarm is raised; 0: never
+    claims      what a source that does not send as declared (rate, order, epoch, unit) leads to: `warn` raises an alarm, `refuse` ends the
+                run, or closes a source that is not `required`
     """
 
     worker: str = ""
@@ -51,6 +53,7 @@ class NodeOptions:
     patience_s: float = param(1.0, least=0.0)
     silence_s: float = param(0.0, least=0.0)
     stale_s: float = param(2.0, least=0.0)
+    claims: Literal["warn", "refuse"] = "warn"
 
 
 @dataclass(frozen=True, slots=True)

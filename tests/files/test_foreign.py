@@ -164,21 +164,23 @@ def test_a_stream_that_sends_half_of_what_it_declares_is_named_and_nothing_is_ca
     found, findings = read(unpacked(tmp_path))
     eeg = found["EEG"]
     assert eeg.lost is None and eeg.spec.rate_hz == 250
-    assert "'EEG' declares 250 Hz, its samples come at 125 Hz" in findings.doubts[0]
-    assert "--claims measured" in findings.doubts[0]
+    [wrong] = findings.claims
+    assert (wrong.kind, wrong.stream, wrong.claimed, wrong.seen) == ("rate", "EEG", "250 Hz", "125 Hz")
+    assert "--claims measured" in wrong.remedy
 
 
 def test_a_measured_rate_can_be_used_or_a_wrong_one_refused(tmp_path: Path) -> None:
     found, _ = read(unpacked(tmp_path), claims="measured")
     assert found["EEG"].spec.rate_hz == 125 and found["EEG"].lost is None
-    with pytest.raises(RecordingError, match="declares 250 Hz, its samples come at 125 Hz"):
+    with pytest.raises(RecordingError, match="claims 250 Hz; seen: 125 Hz"):
         read(unpacked(tmp_path), claims="refuse")
 
 
 def test_a_stream_of_another_epoch_is_left_out_by_name() -> None:
     found, findings = read("unix_markers.xdf")
     assert found.keys() == {"EMG"} and found["EMG"].time[-1] - found["EMG"].time[0] < 3 * NS
-    assert "'Trig'" in findings.doubts[0] and "another epoch" in findings.doubts[0]
+    [epoch] = findings.claims
+    assert (epoch.kind, epoch.stream) == ("epoch", "Trig") and "another epoch" in epoch.seen
     alone, _ = read("unix_markers.xdf", streams={"marks": ["Trig"]})
     assert len(alone["marks"].data) == 10
 

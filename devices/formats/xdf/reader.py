@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import structlog
 
-from kinegraph.devices.formats.findings import Claims
-from kinegraph.devices.formats.timing import MOST_NS, snapped
-from kinegraph.stream.chunk import NS, Array, Samples, StreamSpec, Times
+from kinegraph.devices.formats.findings import Claims, Findings
+from kinegraph.devices.formats.timing import MOST_NS, lost_by_stamps
+from kinegraph.stream.chunk import NS, Array, StreamSpec, Times
 from kinegraph.stream.data.bounded import check_gzip, reading
 from kinegraph.stream.data.columns import assemble
+from kinegraph.stream.domain.finding import Finding
 from kinegraph.stream.errors import RecordingError, nearest
 from kinegraph.stream.recording.series import Series
 
@@ -40,8 +41,6 @@ EPOCH_S = 86_400.0
 """Streams of one recording that lie further apart than this were stamped by clocks that count from different years."""
 JITTER_S = 0.5
 """By more than this no stamp is wrong because a computer was late."""
-WRONG, LEAST_SAMPLES = 0.01, 50
-"""By this share a declared rate may be off; measured on this many samples at least."""
 TEXT_WIDTH, MOST_TEXT = 64, 1 << 16
 """Characters that a string marker has room for: at least the first by default, and never more than the second."""
 
@@ -55,34 +54,32 @@ def read_xdf(
     dejitter: bool = True,
     synchronize: bool = True,
     claims: Claims = "warn",
-    doubts: list[str] | None = None,
+    findings: Findings | None = None,
 ) -> list[Series]:
     """The streams of an XDF file, or the chosen ones: {our name: the name in the file, or name/type where that is ambiguous}.
 
     `start_ns` is when the first sample was (ns UTC). Without it, times are those that kinegraph's own export wrote down, or
     else begin at the file's date. String streams become events with the fields `onset` and `text` (at most
-    `text_width` characters; None: as long as they are). A claim of the file that does not hold is added to `doubts`, or as `claims` has it.
-    Raises RecordingError.
+    `text_width` characters; None: as long as they are). A claim of the file that does not hold is added to
+    `findings`, or as `claims` has it. Raises RecordingError.
     """
     with reading(path, "an XDF file"):
-        result = Doubts(path, claims, doubts if doubts is not None else [])
-        found, head = _load(path, dejitter=dejitter, synchronize=synchronize, doubts_found=result)
+        result = _Claims(path, claims, findings if findings is not None else Findings())
+        found, head = _load(path, dejitter=dejitter, synchronize=synchronize, result=result)
         return _chosen(path, found, head, streams, text_width, start_ns, result)
 
 
 @dataclass(frozen=True, slots=True)
-class Doubts:
-    """Where findings of a file go. `claims`: what is done with them."""
+class _Claims:
+    """Where findings of a file go. `policy`: what is done with them."""
 
     path: Path
-    claims: Claims
-    texts: list[str]
+    policy: Claims
+    findings: Findings
 
-    def find(self, text: str) -> None:
+    def find(self, kind: str, stream: str, claimed: str, seen: str, consequence: str, remedy: str) -> None:
         """A claim that does not hold. Raises RecordingError where such files are refused."""
-        if self.claims == "refuse":
-            raise RecordingError(f"{self.path}: {text}")
-        self.texts.append(f"{self.path.name}: {text}")
+        self.findings.find(self.path, Finding(kind, stream, claimed, seen, consequence, remedy), self.policy)
 
 
 def _chosen(
@@ -92,7 +89,7 @@ def _chosen(
     streams: dict[str, str],
     text_width: int | None,
     start_ns: int | None,
-    doubts_found: Doubts,
+    result: _Claims,
 ) -> list[Series]:
     found = [s for s in found if int(s["info"]["channel_count"][0]) > 0]
     named = _named(found)
@@ -100,18 +97,18 @@ def _chosen(
     for name in chosen.values():
         if name not in named:
             raise RecordingError(f"{path}: there is no stream {name!r} in this file; {nearest(name, named)}")
-    picked = _readable(path, {name: named[key] for name, key in chosen.items()}, doubts_found)
+    picked = _readable(path, {name: named[key] for name, key in chosen.items()}, result)
     anchor = _anchor(path, list(picked.values()), head, start_ns)
-    return [_series(name, stream, anchor, text_width, doubts_found) for name, stream in picked.items()]
+    return [_series(name, stream, anchor, text_width, result) for name, stream in picked.items()]
 
 
-def _readable(path: Path, streams: dict[str, dict[str, Any]], doubts_found: Doubts) -> dict[str, dict[str, Any]]:
+def _readable(path: Path, streams: dict[str, dict[str, Any]], result: _Claims) -> dict[str, dict[str, Any]]:
     """The streams with stamps of one epoch, that of most samples; the others are left out by name."""
     bad = {n for n, s in streams.items() if not (np.abs(np.asarray(s["time_stamps"], float)) <= MOST_NS / NS).all()}
     if bad and len(bad) == len(streams):
         raise RecordingError(f"{path}: stream {min(bad)!r} holds times that are not numbers; the file is damaged")
     for name in sorted(bad):
-        doubts_found.find(f"stream {name!r} is left out: it holds times that are not numbers")
+        result.find("epoch", name, "times", "times that are not numbers", "the stream is left out", "record it again")
     timed = {n: s for n, s in streams.items() if n not in bad and len(s["time_stamps"])}
     main = max(timed.values(), key=lambda s: (bool(_declared(s)), len(s["time_stamps"])), default=None)
     for name, stream in timed.items():
@@ -120,10 +117,10 @@ def _readable(path: Path, streams: dict[str, dict[str, Any]], doubts_found: Doub
         apart = max(first - float(np.max(main["time_stamps"])), float(np.min(main["time_stamps"])) - last)
         if apart > EPOCH_S:
             bad.add(name)
-            doubts_found.find(
-                f"stream {name!r} is left out: its times are of another epoch, from {first:.0f} s on, where "
-                f"{main['info']['name'][0]!r} begins at {float(np.min(main['time_stamps'])):.0f} s; read it alone with --stream"
-            )
+            result.find(
+                "epoch", name, f"the clock of {main['info']['name'][0]!r}, which begins at {float(np.min(main['time_stamps'])):.0f} s",
+                f"times of another epoch, from {first:.0f} s on", "the stream is left out", "read it alone with --stream",
+            )  # fmt: skip
     return {name: stream for name, stream in streams.items() if name not in bad}
 
 
@@ -131,21 +128,8 @@ def _declared(stream: dict[str, Any]) -> float:
     return float(_text(stream["info"], "nominal_srate") or 0.0)
 
 
-def _measured(seconds: Samples, declared: float) -> float | None:
-    """The rate at which samples come, where it is not the declared one; None where it is, or is explained by lost samples."""
-    if len(seconds) < LEAST_SAMPLES:
-        return None
-    stride = min(len(seconds) // 4, 50)
-    long = float(np.median(seconds[stride:] - seconds[:-stride])) / stride
-    steps = np.diff(seconds)
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    if long <= 0 or abs(1.0 / long - declared) <= WRONG * declared or abs(usual * declared - 1.0) <= WRONG:
-        return None
-    return snapped(1.0 / long)
-
-
 def _load(
-    path: Path, *, dejitter: bool, synchronize: bool, doubts_found: Doubts
+    path: Path, *, dejitter: bool, synchronize: bool, result: _Claims
 ) -> tuple[list[dict[str, Any]], dict[str, Any] | None]:
     import pyxdf
 
@@ -166,7 +150,7 @@ def _load(
         streams, head = pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=False)
         if dejitter:
             even, _ = pyxdf.load_xdf(str(path), synchronize_clocks=synchronize, dejitter_timestamps=True)
-            streams = [_evened(raw, other, doubts_found) for raw, other in zip(streams, even, strict=True)]
+            streams = [_evened(raw, other, result) for raw, other in zip(streams, even, strict=True)]
     except RecordingError:
         raise
     except Exception as error:  # noqa: BLE001 - of a damaged file pyxdf raises whatever comes up
@@ -178,7 +162,7 @@ def _load(
     return streams, head
 
 
-def _evened(raw: dict[str, Any], even: dict[str, Any], doubts_found: Doubts) -> dict[str, Any]:
+def _evened(raw: dict[str, Any], even: dict[str, Any], result: _Claims) -> dict[str, Any]:
     """The stream with even stamps, unless evening would move samples by more than jitter does."""
     before, after = np.asarray(raw["time_stamps"], float), np.asarray(even["time_stamps"], float)
     if not len(before) or not np.isfinite(before).all() or not _declared(raw):
@@ -186,10 +170,12 @@ def _evened(raw: dict[str, Any], even: dict[str, Any], doubts_found: Doubts) -> 
     moved = float(np.abs(after - before).max())
     if moved <= JITTER_S:
         return even
-    doubts_found.find(
-        f"stream {raw['info']['name'][0]!r}: its stamps are not evened out, which would move samples by {moved:.1f} s: they leap, or "
-        "blocks of them are out of order; they are kept, in the order of time"
-    )
+    unordered = bool((np.diff(before) < 0).any())
+    result.find(
+        "order" if unordered else "leap", raw["info"]["name"][0], "even stamps with jitter",
+        "blocks of samples out of order" if unordered else f"leaps, by which evening would move samples by {moved:.1f} s",
+        "stamps are kept as they are, in the order of time", "look at the sender's clock",
+    )  # fmt: skip
     return raw
 
 
@@ -236,7 +222,7 @@ def _anchor(path: Path, streams: Sequence[dict[str, Any]], head: dict[str, Any] 
     return round(moment.timestamp()) * NS - first
 
 
-def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | None, doubts_found: Doubts) -> Series:
+def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | None, result: _Claims) -> Series:
     info = stream["info"]
     seconds = np.asarray(stream["time_stamps"], np.float64)
     time = np.round(seconds * NS).astype(np.int64) + anchor
@@ -248,18 +234,9 @@ def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | No
     channels = _channel_facts(info)
     meta = {"xdf_type": _text(info, "type"), "source_id": _text(info, "source_id")}
     if _text(info, "channel_format") == "string":
-        return _markers(
-            doubts_found.path, name, stream, time, order, [label for label, _ in channels], meta, text_width
-        )
+        return _markers(result.path, name, stream, time, order, [label for label, _ in channels], meta, text_width)
     data = np.ascontiguousarray(np.asarray(stream["time_series"])[order])
     rate = _declared(stream)
-    measured = _measured(seconds[order], rate) if rate else None
-    if measured is not None:
-        doubts_found.find(
-            f"stream {name!r} declares {rate:g} Hz, its samples come at {measured:g} Hz: filters would be off by a factor of "
-            f"{rate / measured:.3g}; nothing is called lost; read it at its own rate with --claims measured"
-        )
-        rate = measured if doubts_found.claims == "measured" else rate
     labels = tuple(label for label, _ in channels)
     spec = StreamSpec(
         shape=data.shape[1:],
@@ -269,8 +246,7 @@ def _series(name: str, stream: dict[str, Any], anchor: int, text_width: int | No
         units=_units([unit for _, unit in channels]),
         meta=meta,
     )
-    believed = rate and (measured is None or doubts_found.claims == "measured")
-    return Series(name, spec, time, data, _lost(time, rate) if believed else None)
+    return Series(name, spec, time, data, lost_by_stamps(time, rate) if rate else None)
 
 
 def _ours(name: str, spec_json: str, stream: dict[str, Any], time: Times, order: Array) -> Series | None:
@@ -283,7 +259,7 @@ def _ours(name: str, spec_json: str, stream: dict[str, Any], time: Times, order:
         data = assemble(spec, [table[:, i] for i in range(table.shape[1])])
     except (ValueError, KeyError, TypeError, IndexError, StopIteration):
         return None
-    return Series(name, spec, time, data, _lost(time, spec.rate_hz) if spec.rate_hz else None)
+    return Series(name, spec, time, data, lost_by_stamps(time, spec.rate_hz) if spec.rate_hz else None)
 
 
 def _channel_facts(info: dict[str, Any]) -> list[tuple[str, str]]:
@@ -297,12 +273,6 @@ def _channel_facts(info: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _units(units: list[str]) -> tuple[str, ...]:
     return tuple(units[:1]) or ("",) if len(set(units)) <= 1 else tuple(units)
-
-
-def _lost(time: Times, rate: float) -> Array | None:
-    """Samples missing where a regular stream's times leap by more than one and a half periods."""
-    missing = np.round(np.diff(time) * (rate / NS)).astype(np.int64) - 1
-    return np.concatenate([[0], np.maximum(missing, 0)]) if (missing > 0).any() else None
 
 
 def _markers(

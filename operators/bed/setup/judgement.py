@@ -65,7 +65,7 @@ class Minute:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class BedFinding:
     """One thing that was looked at: what it is like, and what to do where it is not `well`."""
 
     well: bool
@@ -74,7 +74,7 @@ class Finding:
 
 def judge(
     out: Minute, stays: Mapping[str, Minute], regions: Mapping[str, Region], block: int, rise_mm: float, least: float
-) -> list[Finding]:
+) -> list[BedFinding]:
     """What a minute out of bed and those in it say of the regions (row, column, rows, columns in blocks).
 
     stays    by sleeper: several get into bed one after the other, and stay
@@ -84,7 +84,7 @@ def judge(
     """
     minutes = [out, *stays.values()]
     if not all(minute.frames for minute in minutes):
-        return [Finding(False, "no frames came: is the camera connected, and is nothing else using it?")]
+        return [BedFinding(False, "no frames came: is the camera connected, and is nothing else using it?")]
     found = [_seen(minute.views, "in bed" if k else "out of bed") for k, minute in enumerate(minutes)]
     with np.errstate(invalid="ignore"):
         bodies = {
@@ -95,7 +95,7 @@ def judge(
     inside = _within(list(regions.values()), raised.shape)
     hint = suggested(bodies, block)
     if not inside.any():
-        found.append(Finding(False, f"no bed was found while it was empty; {hint}"))
+        found.append(BedFinding(False, f"no bed was found while it was empty; {hint}"))
         return [f for f in found if f]
     found.append(_measured(out, minutes[-1], inside))
     for name, region in regions.items():
@@ -112,69 +112,69 @@ def _within(regions: Sequence[Region], shape: tuple[int, ...]) -> Mask:
     return inside
 
 
-def _measured(out: Minute, inn: Minute, inside: Mask) -> Finding:
+def _measured(out: Minute, inn: Minute, inside: Mask) -> BedFinding:
     """How much of the regions is measured, and how well."""
     measured = float((inn.count[inside] / inn.frames).mean())
     noise = float(np.nanmedian(out.noise()[inside])) if np.isfinite(out.noise()[inside]).any() else np.nan
     many = f"{measured:.0%} of the region is measured, and a block's noise is {noise:.1f} mm"
     if measured < LEAST_MEASURED:
-        return Finding(False, f"only {many}: come nearer, or give it light")
-    return Finding(True, many)
+        return BedFinding(False, f"only {many}: come nearer, or give it light")
+    return BedFinding(True, many)
 
 
-def _seen(views: list[str], when: str) -> Finding | None:
+def _seen(views: list[str], when: str) -> BedFinding | None:
     if "dark" in views:
-        return Finding(
+        return BedFinding(
             False, f"the camera sees nothing {when}: it needs a light of its own (`projector`), or a lit room"
         )
     if "moved" in views:
-        return Finding(False, f"the camera was moved {when}: fix it, and check again")
+        return BedFinding(False, f"the camera was moved {when}: fix it, and check again")
     return None
 
 
-def _empty(depth: Samples, region: Region, who: str, rise_mm: float, least: float) -> Finding | None:
+def _empty(depth: Samples, region: Region, who: str, rise_mm: float, least: float) -> BedFinding | None:
     """Whether the bed that ought to be empty looks as if somebody lay in it."""
     row, column, rows, columns = region
     bed = depth[row : row + rows, column : column + columns]
     if not somebody(mattress(bed, rise_mm / 2) - bed, rise_mm, least):
         return None
-    return Finding(
+    return BedFinding(
         False,
         f"somebody, or a heap as large, was on the bed while it should be empty{who}: a night that begins so is unknown until it moves",
     )
 
 
-def _held(body: Mask, region: Region, who: str, hint: str, least: float) -> Finding:
+def _held(body: Mask, region: Region, who: str, hint: str, least: float) -> BedFinding:
     """Whether a sleeper's region holds that body."""
     whole = int(body.sum())
     if whole < LEAST_BLOCKS:
-        return Finding(
+        return BedFinding(
             False, f"no person was seen in bed{who}: does the camera see the whole bed, and did you lie down in time?"
         )
     row, column, rows, columns = region
     mine = body[row : row + rows, column : column + columns]
     held = float(mine.sum()) / whole
     if held < LEAST_INSIDE:
-        return Finding(
+        return BedFinding(
             False, f"the region holds {held:.0%} of who lies there{who}: it is too small, or elsewhere; {hint}"
         )
     covered = float(mine.mean())
     if covered < least:
-        return Finding(
+        return BedFinding(
             False,
             f"who lies there covers {covered:.0%} of the region{who}, {least:.0%} is needed: it is too large; {hint}",
         )
-    return Finding(True, f"the region holds {held:.0%} of who lies there{who}, who covers {covered:.0%} of it")
+    return BedFinding(True, f"the region holds {held:.0%} of who lies there{who}, who covers {covered:.0%} of it")
 
 
-def _light(out: Minute, inn: Minute, raised: Mask) -> Finding | None:
+def _light(out: Minute, inn: Minute, raised: Mask) -> BedFinding | None:
     """Whether the empty part of the view gets noisier when the bed is occupied."""
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = (inn.noise() / out.noise())[~raised]
     usual = float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else 1.0
     if 1 / NOISIER < usual < NOISIER:
-        return Finding(True, "the light is the same in both minutes")
-    return Finding(
+        return BedFinding(True, "the light is the same in both minutes")
+    return BedFinding(
         False,
         f"the noise of the empty part is {usual:.1f} times what it was: the light has changed; check in the light of the night",
     )

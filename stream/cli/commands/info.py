@@ -52,6 +52,8 @@ def info(
 
 def facts(recording: Recording) -> dict[str, Any]:
     """What `info` knows, as JSON-like values; times in ns UTC."""
+    from kinegraph.stream.domain.finding import recorded_findings
+
     return {
         "path": str(recording.path),
         "finished": recording.finished,
@@ -63,6 +65,7 @@ def facts(recording: Recording) -> dict[str, Any]:
         "devices": devices(recording),
         "clocks": clocks(recording),
         "annotations": marks(recording),
+        "findings": [{**finding.facts(), "text": finding.text} for finding in recorded_findings(recording)],
         "log": recording.log,
     }
 
@@ -129,6 +132,8 @@ def marks(recording: Recording) -> list[dict[str, Any]]:
 def _show(console: Screen, recording: Recording, most: int | None) -> None:
     from rich.text import Text
 
+    from kinegraph.stream.domain.finding import REPORT, recorded_findings
+
     header = recording.header
     lacking = f"; missing: {recording.missing.words}" if recording.missing else ""
     broken_off = not all(part.finished for part in recording.parts)
@@ -146,7 +151,8 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
         console.print(f"begins {moment(first)}")
     for title in ("session", "imported", "versions"):
         if header.get(title):
-            console.print(f"{title}: " + ", ".join(f"{k} {_listed(v)}" for k, v in header[title].items()))
+            known = {k: v for k, v in header[title].items() if k != "findings"}
+            console.print(f"{title}: " + ", ".join(f"{k} {_listed(v)}" for k, v in known.items()))
     if header.get("graph"):
         console.print(f"graph: {header.get('name') or header.get('graph_path') or ''} (--graph prints it)")
     for node, known in devices(recording).items():
@@ -157,8 +163,9 @@ def _show(console: Screen, recording: Recording, most: int | None) -> None:
     console.print(_streams(recording, wide))
     for name, stream in recording.streams.items() if not wide else ():
         console.print(fill(f"{name}: {_what(stream)}", console.width, subsequent_indent="    "))
+    _list(console, "findings", [finding.text for finding in recorded_findings(recording)], None)
     _list(console, "annotations", [_line(a) for a in marks(recording)], most)
-    log = recording.log
+    log = [entry for entry in recording.log if entry["kind"] != REPORT]
     _list(console, "log", [_line(entry) for entry in log], most)
     if most is not None and len(log) > most:
         console.print(

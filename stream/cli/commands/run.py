@@ -222,7 +222,11 @@ def _tell_end(outcome: Outcome) -> None:
     for name, row in outcome.table.items():
         if row.get("error") and row.get("behind_s"):
             say(f"  {name}: the last {row['behind_s']:.1f} s could not be written and are lost", err=True)
-        troubles = {k: row[k] for k in ("dropped", "late", "gaps", "dropped_chunks", "error", "problems") if row.get(k)}
+        troubles = {
+            k: row[k]
+            for k in ("dropped", "late", "gaps", "dropped_chunks", "error", "problems", "findings")
+            if row.get(k)
+        }
         if troubles.get("error") and str(troubles["error"]) in str(outcome.error):
             troubles["error"] = "as below"
         if row.get("openings", 0) > 1:

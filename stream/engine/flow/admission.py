@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from kinegraph.stream.chunk import FOREVER, NS, STAMP, Array, Chunk, StreamSpec, Times, add_lost
+from kinegraph.stream.chunk import FOREVER, NS, STAMP, Array, Chunk, StreamSpec, add_lost
+from kinegraph.stream.domain.claims import ClaimGate, survey
 from kinegraph.stream.engine.flow.promise import END, MOST_LOST
-from kinegraph.stream.kernel import kernel
 
 AHEAD_NS = NS
 """A live sample's stamp may lie this far after its arrival, by what a device's clock is wrong; beyond that it is reported."""
@@ -40,12 +40,15 @@ class Verdict(msgspec.Struct, gc=False):
 NOTHING_NEW = Verdict(None)
 
 
-def soundness(spec: StreamSpec) -> Callable[[Chunk], bool]:
+def soundness(spec: StreamSpec, gate: ClaimGate | None = None) -> Callable[[Chunk], bool]:
     """What tells whether a source's chunk is as it should be in every respect: `conform` and `ordered` would give it back as it is.
 
-    It is asked of every chunk, so it remembers the shape that the last one had, and few names are looked up.
+    It is asked of every chunk, so it remembers the shape that the last one had, and few names are looked up. A chunk that is sound has
+    passed the `gate`, which compares its stamps with what was declared.
     """
     array, dtype, tail, shape, rows = np.ndarray, spec.dtype, spec.shape, spec.shape, -1
+    gate = gate or ClaimGate("", spec)
+    numbers, keep = gate.numbers, gate.keep
 
     def is_sound(chunk: Chunk) -> bool:
         nonlocal shape, rows
@@ -59,7 +62,12 @@ def soundness(spec: StreamSpec) -> Callable[[Chunk], bool]:
             if data.shape != (n, *tail):
                 return False
             shape, rows = data.shape, n
-        return time.flags.carray and -1 <= chunk.lost <= MOST_LOST and -END < until < END and _is_ordered(time, until)
+        if not (time.flags.carray and -1 <= chunk.lost <= MOST_LOST and -END < until < END):
+            return False
+        code = survey(time, until, chunk.lost, numbers)
+        if code > 1:
+            keep(data[0])
+        return code > 0
 
     return is_sound
 
@@ -92,17 +100,6 @@ def ordered(chunk: Chunk) -> tuple[Chunk, int]:
     if n and chunk.until < (last := time.item(-1)):
         chunk = Chunk(time, chunk.data, last, chunk.lost)
     return chunk, dropped
-
-
-@kernel
-def _is_ordered(time: Times, until: int) -> bool:
-    """Whether no stamp of `time` (n,) lies before the one before it, and all, and `until`, where it may: after -END, up to `until`."""
-    before = 1 - END
-    for i in range(time.shape[0]):
-        if time[i] < before:
-            return False
-        before = time[i]
-    return before <= until
 
 
 def admit(

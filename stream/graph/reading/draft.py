@@ -24,7 +24,7 @@ T = TypeVar("T")
 NODE_WORD = "[A-Za-z_][A-Za-z0-9_-]*"
 NODE_NAME = rf"^{NODE_WORD}(\.{NODE_WORD})*$"
 """Dots separate a part of the graph from the nodes in it: "left.envelope"."""
-SOURCE_OPTIONS = ("queue", "policy", "required", "deadline_s", "patience_s", "silence_s", "stale_s")
+SOURCE_OPTIONS = ("queue", "policy", "required", "deadline_s", "patience_s", "silence_s", "stale_s", "claims")
 OPERATOR_OPTIONS = ("worker", "queue", "policy")
 
 
