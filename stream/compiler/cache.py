@@ -1,4 +1,4 @@
-"""Where machine code is kept: the wheel's own, and the cache of whoever runs kinegraph.
+"""Where machine code is kept: in the package itself, and in the cache of whoever runs kinegraph.
 
 Numba's disk cache watches one file, so an edit in a kernel that another file's kernel calls goes unseen, and an edit of a file compiles
 all kernels in it. Here the folder of a kernel is named by its fingerprint (`stream.compiler.fingerprint`): a hash of all that its code
@@ -7,6 +7,10 @@ that it can change; folders that were not used for a month are removed.
 
 In the folder is one file for each set of argument types and kind of processor. It is written as soon as that code is compiled, under a name
 that only this code can have, so that several processes may compile into one cache.
+
+A platform wheel holds kernels compiled for a level of processors (`tests/platform_wheel.py` puts them there). They are used where numba,
+llvmlite, numpy and Python are those that made them and the processor has the level; they give the same bits as what is compiled here, since
+nothing is compiled with fastmath or with a library of vector functions. All else is compiled here, for this processor.
 """
 
 from __future__ import annotations
@@ -24,8 +28,12 @@ from pathlib import Path
 from typing import Any
 
 import llvmlite
-import numba
+import numpy as np
 import platformdirs
+
+os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")  # numba takes that library where it finds it, and so other bits
+import numba
+import zstandard
 from numba.cloudpickle import loads
 from numba.core import compiler, serialize, sigutils
 from numba.core.errors import NumbaWarning
@@ -42,8 +50,25 @@ _types_of: Any = sigutils.normalize_signature
 _MONTH_S = 30 * 24 * 3600
 _SIZE = 16
 """Bytes of the hash before the code in a file: a file that a power cut has left half written is compiled again."""
-_MADE_BY = f"{numba.__version__} {llvmlite.__version__} {sys.implementation.cache_tag}"
-SUFFIX = ".nbc"
+MADE_BY = "-".join(
+    (
+        f"numba-{numba.__version__}",
+        f"llvmlite-{llvmlite.__version__}",
+        f"numpy-{np.__version__.rpartition('.')[0]}",
+        str(sys.implementation.cache_tag),
+        *(("svml",) if numba.config.USING_SVML else ()),  # type: ignore[attr-defined]
+    )
+)
+"""Who has compiled."""
+SUFFIX = ".nbz"
+SHIPPED = Path(__file__).parents[2] / "compiled"
+"""The package's own machine code: in a folder for each level, in one named by who has compiled."""
+_LEVEL_2 = frozenset(("cx16", "popcnt", "sahf", "sse3", "sse4.1", "sse4.2", "ssse3"))
+LEVELS = {
+    "x86-64-v3": _LEVEL_2 | {"avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "xsave"},
+    "x86-64-v2": _LEVEL_2,
+}
+"""Kinds of processors by LLVM's names, and the features that they have; the best first."""
 
 _at_miss: list[Callable[[], None]] = []
 
@@ -67,8 +92,10 @@ class KernelCache:
     @property
     def is_kept(self) -> bool:
         """Whether there is code of it, for whatever types of arguments."""
-        with suppress(OSError):
-            return any(entry.endswith(SUFFIX) for entry in os.listdir(cache_folder() / self.name))  # noqa: PTH208
+        for top in (*(SHIPPED / MADE_BY / level for level in levels()), cache_folder()):
+            with suppress(OSError):
+                if any(entry.endswith(SUFFIX) for entry in os.listdir(top / self.name)):  # noqa: PTH208
+                    return True
         return False
 
     def load_overload(self, signature: Any, target: Any) -> Any:
@@ -90,7 +117,7 @@ class KernelCache:
                 f"the machine code of {self._function.__qualname__} cannot be kept", NumbaWarning, stacklevel=2
             )
             return
-        content = _dumps(code._reduce())
+        content = zstandard.compress(_dumps(code._replace(type_annotation="")._reduce()))
         path = self._folder() / _file(signature, code.codegen.magic_tuple())
         try:
             with complete(path, shared=True) as draft:
@@ -105,10 +132,15 @@ class KernelCache:
         shutil.rmtree(self.cache_path, ignore_errors=True)
 
     def _found(self, signature: Any, target: Any) -> Any:
+        processor = target.codegen().magic_tuple()
+        for level in levels():
+            content = _checked(SHIPPED / MADE_BY / level / self.name / _file(signature, (processor[0], level, "")))
+            if content is not None:
+                return _numba_result._rebuild(target, *loads(content))
         folder = cache_folder() / self.name
         if folder.exists():
             refuse_shared(folder, "a folder of compiled kernels")
-        content = _checked(folder / _file(signature, target.codegen().magic_tuple()))
+        content = _checked(folder / _file(signature, processor))
         if content is None:
             return None
         with suppress(OSError):
@@ -135,6 +167,16 @@ def at_first_miss(act: Callable[[], None]) -> Iterator[None]:
         yield
     finally:
         _at_miss.clear()
+
+
+@cache
+def levels() -> tuple[str, ...]:
+    """The levels of which the package holds machine code that this process can use, the best first."""
+    made = [level for level in LEVELS if (SHIPPED / MADE_BY / level).is_dir()]
+    if not made or numba.config.CPU_NAME is not None:  # type: ignore[attr-defined]
+        return ()  # somebody wants code for a processor of another kind
+    here = {name for name, is_there in llvmlite.binding.get_host_cpu_features().items() if is_there}
+    return tuple(level for level in made if here >= LEVELS[level])
 
 
 @cache
@@ -167,7 +209,7 @@ def _forget_unused(top: Path) -> None:
 def _file(signature: Any, target: tuple[str, ...]) -> str:
     """Named by the types of arguments, the processor, and who has compiled."""
     types = _types_of(signature)
-    return blake2b(f"{types} {target} {_MADE_BY}".encode(), digest_size=_SIZE).hexdigest() + SUFFIX
+    return blake2b(f"{types} {target} {MADE_BY}".encode(), digest_size=_SIZE).hexdigest() + SUFFIX
 
 
 def _hash(content: bytes) -> bytes:
@@ -180,7 +222,8 @@ def _checked(path: Path) -> bytes | None:
         found = path.read_bytes()
     except OSError:
         return None
-    return found[_SIZE:] if found[:_SIZE] == _hash(found[_SIZE:]) else None
+    content = found[_SIZE:]
+    return zstandard.decompress(content) if found[:_SIZE] == _hash(content) else None
 
 
 @cache

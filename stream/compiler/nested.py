@@ -6,10 +6,11 @@ others is optimised ten times, and so on below each of these. Only what Python c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
 
+from llvmlite import binding as llvm
 from numba.core import compiler, dispatcher, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
@@ -29,6 +30,12 @@ def _shorten_errors() -> None:
     for template in builtin_registry.functions:
         if long is not None and getattr(template, "_overload_func", None) is long:
             template._overload_func = staticmethod(lambda *_: None)
+
+
+def names_only(names: Iterable[str]) -> bytes:
+    """Bitcode in which functions have these names and do nothing: numba looks there for what an object file has."""
+    text = "\n".join(f'define void @"{name}"() {{ ret void }}' for name in names)
+    return llvm.parse_assembly(text).as_bitcode()  # type: ignore[no-any-return]
 
 
 class _CalleeLibrary(JITCodeLibrary):
@@ -52,6 +59,15 @@ class _Library(JITCodeLibrary):
             if isinstance(library, _CalleeLibrary):
                 for below in library._linking_libraries:
                     self.add_linking_library(below)
+
+    def serialize_using_object_code(self) -> Any:
+        """With the names of its functions only, not the bitcode that numba keeps for others to link: that is larger than all else.
+
+        Others do not link it: only Python calls it.
+        """
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
+        names = [function.name for function in self._final_module.functions if not function.is_declaration]
+        return self.name, "object", (self._get_compiled_object(), names_only(names))  # type: ignore[no-untyped-call]
 
 
 class _Compiler(_FunctionCompiler):  # type: ignore[misc]

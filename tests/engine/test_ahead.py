@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
+from numba import types
+from numba.core.registry import cpu_target
 
 from kinegraph.devices.page.hub import Hub
 from kinegraph.operators.emg.quality import SignalQuality
@@ -68,7 +72,61 @@ def test_a_file_that_is_cut_off_or_damaged_is_compiled_again(empty: Path) -> Non
         file.write_bytes(content)
         made = doubled()
         assert made(1.5) == 3.0 and not made.stats.cache_hits
-        assert doubled()(1.5) == 3.0 and file.stat().st_size == len(whole)
+        again = doubled()
+        assert again(1.5) == 3.0 and again.stats.cache_hits
+
+
+def shipped(kept: Path, to: Path) -> None:
+    """Move what was compiled here to where a platform wheel holds it, as if it were for a level."""
+    (file,) = kept.glob(f"*/*{cache.SUFFIX}")
+    triple, _, _ = cpu_target.target_context.codegen().magic_tuple()
+    name = cache._file((types.float64,), (triple, "x86-64-v2", ""))
+    place = to / "x86-64-v2" / file.parent.name
+    place.mkdir(parents=True)
+    file.rename(place / name)
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="levels are those of x86-64")
+def test_what_the_package_holds_is_used_and_the_cache_is_left_alone(
+    empty: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubled()(1.5)
+    monkeypatch.setattr(cache, "SHIPPED", tmp_path / "compiled")
+    shipped(empty, tmp_path / "compiled" / cache.MADE_BY)
+    cache.levels.cache_clear()
+    try:
+        made = doubled()
+        assert cache.levels() == ("x86-64-v2",) and made._cache.is_kept
+        assert made(1.5) == 3.0 and made.stats.cache_hits and cache.kept_count() == 0
+
+        @kernel
+        def double(x: float) -> float:
+            return 3.0 * x  # edited
+
+        assert double(1.5) == 4.5 and cache.kept_count() == 1
+    finally:
+        cache.levels.cache_clear()
+
+
+@pytest.mark.parametrize("which", ("another numba", "an older processor", "a processor that was asked for"))
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="levels are those of x86-64")
+def test_what_the_package_holds_for_others_is_not_used(
+    which: str, empty: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubled()(1.5)
+    monkeypatch.setattr(cache, "SHIPPED", tmp_path / "compiled")
+    shipped(empty, tmp_path / "compiled" / ("numba-0.1" if which == "another numba" else cache.MADE_BY))
+    if which == "an older processor":
+        monkeypatch.setattr(cache, "LEVELS", {"x86-64-v2": frozenset(("a feature of tomorrow",))})
+    if which == "a processor that was asked for":
+        monkeypatch.setattr(numba.config, "CPU_NAME", "generic")
+    cache.levels.cache_clear()
+    try:
+        made = doubled()
+        assert not made._cache.is_kept
+        assert made(1.5) == 3.0 and not made.stats.cache_hits
+    finally:
+        cache.levels.cache_clear()
 
 
 def test_a_cache_that_cannot_be_written_is_read(empty: Path) -> None:
