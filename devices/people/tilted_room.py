@@ -23,6 +23,10 @@ STEREO_MM_PX = 33_000.0
 TOF_MM = 5.0
 """Noise of a pixel at 2 m."""
 PATTERNS = 8
+MOST_LIFT = 2.5
+"""Of a lift of 1 mm, along a ray; at an outline a pixel would otherwise jump to what is behind."""
+HEIGHTS = 20
+"""A ray that slants is followed down through so many heights above the mattress."""
 FAN_MM, FAN_HZ = 12.0, 0.4
 """A fan lifts the blanket in waves."""
 
@@ -76,15 +80,16 @@ class TiltedRoom:
         self.bed = (float(r.uniform(0.9, 1.6)), 2.0, float(r.uniform(0.42, 0.58)))
         """Width, length, height of the mattress."""
         wide, long, high = self.bed
-        self._at = np.array([camera.side, long + camera.behind, camera.height])
-        ahead = np.array([0.0, long / 2, high]) - self._at
+        self.at = np.array([camera.side, long + camera.behind, camera.height])
+        ahead = np.array([0.0, long / 2, high]) - self.at
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
         right = np.array([-1.0, 0.0, 0.0]) if np.linalg.norm(right) < 1e-6 else right / np.linalg.norm(right)
         down = np.cross(ahead, right)
+        self.axes = ahead, right, down
         v, u = np.mgrid[:height, :width]
         focal = FOCAL * width
-        self._rays = (
+        self.rays = (
             ahead
             + ((u + 0.5 - width / 2) / focal)[..., None] * right
             + ((v + 0.5 - height / 2) / focal)[..., None] * down
@@ -95,16 +100,17 @@ class TiltedRoom:
             (-wide / 2 - 1.6, -wide / 2 - 0.9, 0.2, 1.4, 0.0, 1.9),
             (-4.0, 4.0, -0.4, -0.3, 0.0, 3.0),
         ]
+        self._walls = self._without_bedding()
         self._lying = float(r.uniform(-0.15, 0.15)) * wide
         self._thick = float(r.uniform(0.17, 0.25))
         self.empty = self._surface(lambda x, y: 0.015 * _bump(x, y, 0.1, 1.3, 0.3, 0.4))
         self._body = self._surface(lambda x, y: self._shape(x, y, 0.0))
         lifted = self._surface(lambda x, y: self._shape(x, y, 0.0) + 0.01 * _bump(x, y, self._lying, 0.62, 0.17, 0.2))
-        self._chest = (self._body - lifted) / np.float32(10.0)
+        self._chest = np.clip((self._body - lifted) / np.float32(10.0), 0, MOST_LIFT)
         waved = self._surface(
             lambda x, y: 0.015 * _bump(x, y, 0.1, 1.3, 0.3, 0.4) + 0.01 * _bump(x, y, 0.0, 1.1, 0.4, 0.6)
         )
-        self._blanket = (self.empty - waved) / np.float32(10.0)
+        self._blanket = np.clip((self.empty - waved) / np.float32(10.0), 0, MOST_LIFT)
         self._heaped: Map | None = None
         self._sitting: Map | None = None
         shape = (PATTERNS, 2 * height, 2 * width)
@@ -137,7 +143,7 @@ class TiltedRoom:
 
     def rectangle(self) -> tuple[int, int, int, int]:
         """The bed in the picture, as a person would set it: first row, first column, rows, columns."""
-        at = self._at + self.empty[..., None] / 1000 * self._rays
+        at = self.at + self.empty[..., None] / 1000 * self.rays
         wide, long, high = self.bed
         on = (abs(at[..., 0]) < wide / 2) & (at[..., 1] > 0) & (at[..., 1] < long) & (abs(at[..., 2] - high) < 0.03)
         rows, columns = (np.flatnonzero(on.sum(axis=axis) > on.sum(axis=axis).max() / 2) for axis in (1, 0))
@@ -162,7 +168,9 @@ class TiltedRoom:
             return self._body - self._chest * np.float32(self.lift(t))
         if s.sits[0] <= t < s.sits[1]:
             if self._sitting is None:
-                self._sitting = self._surface(lambda x, y: 0.85 * _bump(x, y, self.bed[0] / 2 - 0.15, 1.0, 0.14, 0.2))
+                self._sitting = self._surface(
+                    lambda x, y: 0.85 * _bump(x, y, self.bed[0] / 2 - 0.15, 1.0, 0.14, 0.2), 0.9
+                )
             return self._sitting
         if s.heap[0] <= t < s.heap[1]:
             if self._heaped is None:
@@ -182,26 +190,47 @@ class TiltedRoom:
         body: Map = np.maximum(np.maximum(trunk, legs), np.maximum(head, arm))
         return body
 
-    def _surface(self, above: Callable[[Map, Map], Map]) -> Map:
-        """Depths (mm) of the room with a bed on which something lies as high as `above` (x, y) -> height has it."""
-        at, rays = self._at, self._rays
+    def _surface(self, above: Callable[[Map, Map], Map], tallest: float = 0.4) -> Map:
+        """Depths (mm) of the room with a bed on which something lies as high as `above` (x, y) -> height has it; nothing is taller."""
+        at, (wide, long, high) = self.at, self.bed
+        depth = self._walls.copy()
+        # from above, height by height, until a ray is below what lies there; then between the last two heights
+        over = np.isfinite(_met(at, self.rays, (-wide / 2, wide / 2, 0.0, long, high, high + tallest)))
+        over &= self.rays[..., 2] < 0
+        ray = self.rays[over]
+
+        def under(height: Map) -> Map:
+            t = (high + height - at[2]) / ray[:, 2]
+            x, y = at[0] + t * ray[:, 0], at[1] + t * ray[:, 1]
+            inside = (np.abs(x) < wide / 2) & (y > 0) & (y < long)
+            low: Map = np.where(inside, above(x, y), 0.0) - height
+            return low
+
+        upper, lower = np.full(len(ray), tallest), np.zeros(len(ray))
+        met = np.zeros(len(ray), np.bool_)
+        for k in range(1, HEIGHTS):
+            height = np.full(len(ray), tallest * (1 - k / HEIGHTS))
+            now = ~met & (under(height) >= 0)
+            lower[now], met = height[now], met | now
+            upper[~met] = height[~met]
+        for _ in range(7):
+            middle = (upper + lower) / 2
+            hit = under(middle) >= 0
+            lower, upper = np.where(hit, middle, lower), np.where(hit, upper, middle)
+        t = (high + lower - at[2]) / ray[:, 2]
+        depth[over] = np.where(lower > 1e-3, np.minimum(depth[over], t), depth[over])
+        made: Map = (1000 * np.minimum(depth, 6.0)).astype(np.float32)
+        return made
+
+    def _without_bedding(self) -> Map:
+        """Distances (m) to the floor and to what stands in the room, the bed included."""
+        at, rays = self.at, self.rays
         wide, long, high = self.bed
         with np.errstate(divide="ignore", invalid="ignore"):
             depth = np.where(rays[..., 2] < 0, -at[2] / rays[..., 2], np.inf)
-            for box in [(-wide / 2, wide / 2, 0.0, long, 0.0, high), *self.boxes]:
-                depth = np.minimum(depth, _met(at, rays, box))
-            top = np.where(rays[..., 2] < 0, (high - at[2]) / rays[..., 2], np.inf)
-            t = np.where(np.isfinite(top), top, 0.0)
-            for _ in range(12):
-                x, y = at[0] + t * rays[..., 0], at[1] + t * rays[..., 1]
-                inside = (np.abs(x) < wide / 2) & (y > 0) & (y < long)
-                lies = np.where(inside, above(x, y), 0.0)
-                t = np.where(
-                    np.isfinite(top), (high + lies - at[2]) / np.where(rays[..., 2] < 0, rays[..., 2], -1.0), np.inf
-                )
-            depth = np.where(inside & (lies > 0), np.minimum(depth, t), depth)
-        made: Map = (1000 * np.minimum(depth, 6.0)).astype(np.float32)
-        return made
+        for box in [(-wide / 2, wide / 2, 0.0, long, 0.0, high), *self.boxes]:
+            depth = np.minimum(depth, _met(at, rays, box))
+        return depth
 
     def _drawn(self) -> Map:
         return self._piece(self._normal[int(self._random.integers(PATTERNS))])
@@ -222,9 +251,10 @@ def _bump(x: Map, y: Map, x0: float, y0: float, wide: float, long: float) -> Map
 def _met(at: NDArray[np.float64], rays: NDArray[np.float64], box: Box) -> NDArray[np.float64]:
     """Where rays from `at` enter a box (x, x, y, y, z, z); infinite where they miss it."""
     enter, leave = np.full(rays.shape[:2], 0.0), np.full(rays.shape[:2], np.inf)
-    for axis in range(3):
-        one, two = ((box[2 * axis + end] - at[axis]) / rays[..., axis] for end in (0, 1))
-        enter, leave = np.maximum(enter, np.minimum(one, two)), np.minimum(leave, np.maximum(one, two))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for axis in range(3):
+            one, two = ((box[2 * axis + end] - at[axis]) / rays[..., axis] for end in (0, 1))
+            enter, leave = np.maximum(enter, np.minimum(one, two)), np.minimum(leave, np.maximum(one, two))
     return np.where((enter < leave) & (enter > 0), enter, np.inf)
 
 

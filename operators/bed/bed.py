@@ -9,8 +9,8 @@ from typing import TypeAlias
 
 import numpy as np
 import structlog
-from numpy.typing import NDArray
 
+from kinegraph.operators.bed.bed_plateau import BedLimits, bed_in
 from kinegraph.operators.bed.frames.regions import REGION, block_of, region_spec
 from kinegraph.operators.bed.frames.view import VIEW, check_view
 from kinegraph.stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
@@ -18,14 +18,6 @@ from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
-BIN_MM = 50.0
-FLOOR_SHARE = 0.05
-"""The floor: the farthest depth, to 50 mm, at which this share of the frame lies."""
-LEAST_FILLED = 0.6
-"""How much of its rectangle a plateau must fill to be a bed."""
-
-LARGE = 20
-"""A bed of more blocks than this is reported without those at its edge."""
 WIDE = 1.5
 """Only in a bed that looks this many times wider than long do sleepers lie along the picture's rows."""
 
@@ -56,12 +48,12 @@ class BedState:
 class BedRegion(Operator[BedState]):
     """Mean depths of blocks in, one event per sleeper out: the rectangle of pixels where that sleeper lies.
 
-    With `regions` they are reported with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest plateau
-    from `lowest_mm` to `highest_mm` above the floor, if it covers `min_share` of the frame and most of its own rectangle; less a block
-    at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. Several sleepers
-    share it side by side, in the order of their names from the left; from the top, where it looks half as wide again as it is long, for
-    then the camera hangs beside it. That suits a camera that looks down on a bed and some floor; anything else has to be set. Until one
-    is found, it reports nothing and keeps searching.
+    With `regions` they are reported with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest level
+    surface from `lowest_mm` to `highest_mm` above the floor, if it covers `min_share` of the frame and half of its own rectangle; less
+    a block at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. The camera
+    may be tilted by up to 65 degrees from looking straight down, and must see some floor. Several sleepers share the bed side by side,
+    in the order of their names from the left; from the top, where it looks half as wide again as it is long, for then the camera hangs
+    beside it. Until a bed is found, it keeps searching; after four attempts it reports regions without rows.
 
     When the camera was moved (`view`, of operators.bed.frames.view.View), a region without rows says that it is not known. One that was
     found
@@ -172,50 +164,22 @@ class BedRegion(Operator[BedState]):
             if time - s.begun < self.learn_s * NS:
                 continue
             with np.errstate(invalid="ignore"):
-                found = self._found(s.sums / s.counts)
+                depth = s.sums / s.counts
+            found = bed_in(depth, BedLimits(self.lowest_mm, self.highest_mm, self.min_share))
             s.sums[:], s.counts[:], s.begun = 0.0, 0, NEVER
             if found is not None:
                 s.emitted = True
+                parts = _shared(found, len(self.sleepers))
                 return [
-                    (time, name, *part, True)
-                    for name, part in zip(self.sleepers, _shared(found, len(self.sleepers)), strict=True)
+                    (time, name, *(side * s.block for side in part), True)
+                    for name, part in zip(self.sleepers, parts, strict=True)
                 ]
             s.tries += 1
             if s.tries in (4, 20, 100):  # not at once: the warm-up shows it frames without a bed
                 log.warning("no bed is found in the frames; set `regions`", tries=s.tries)
+            if s.tries == 4:
+                return [(time, name, 0, 0, 0, 0, True) for name in self.sleepers]
         return []
-
-    def _found(self, depth: Samples) -> tuple[int, int, int, int] | None:
-        """The bed's rectangle in pixels; None if there is no bed."""
-        from scipy.ndimage import label
-
-        valid = np.isfinite(depth)
-        if not valid.any():
-            return None
-        bins, counts = np.unique(np.floor(depth[valid] / BIN_MM), return_counts=True)
-        floors = bins[counts >= FLOOR_SHARE * depth.size]
-        if not len(floors):
-            return None
-        above = floors[-1] * BIN_MM - np.where(valid, depth, np.inf)
-        parts, count = label((above >= self.lowest_mm) & (above <= self.highest_mm))
-        sizes = np.bincount(parts.ravel(), minlength=count + 1)
-        sizes[0] = 0
-        if sizes.max() < self.min_share * depth.size:
-            return None
-        bed = parts == int(sizes.argmax())
-        top, bottom = _extent(bed.sum(axis=1))
-        left, right = _extent(bed.sum(axis=0))
-        if bed[top:bottom, left:right].mean() < LEAST_FILLED:
-            return None
-        b = self.state.block
-        return top * b, left * b, (bottom - top) * b, (right - left) * b
-
-
-def _extent(filled: NDArray[np.int64]) -> tuple[int, int]:
-    """From the first to one past the last row (or column) at least half as full as the fullest, less the outermost of a large bed."""
-    full = np.flatnonzero(filled * 2 >= filled.max())
-    inset = int(full[-1] - full[0] >= LARGE)
-    return int(full[0]) + inset, int(full[-1]) + 1 - inset
 
 
 def _shared(bed: tuple[int, int, int, int], count: int) -> list[tuple[int, int, int, int]]:

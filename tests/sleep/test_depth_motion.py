@@ -249,12 +249,12 @@ def test_the_bed_is_found_and_shared_by_who_lies_side_by_side(
     assert made["sleeper"].tolist() == ["a", "b"]
 
 
-def test_where_there_is_no_bed_none_is_found() -> None:
-    spec = blocks_spec(20, 30)
-    nothing = room(np.s_[0:0, 0:0])
-    assert not len(play(BedRegion(learn_s=1.0), **{"in": (spec, grid(5.0, 30), nothing)})["out"])
-    unseen = np.full_like(nothing, np.nan)
-    assert not len(play(BedRegion(learn_s=1.0), **{"in": (spec, grid(5.0, 30), unseen)})["out"])
+@pytest.mark.parametrize("seen", [1.0, np.nan])
+def test_where_there_is_no_bed_a_region_without_rows_is_reported_after_four_attempts(seen: float) -> None:
+    nothing = seen * room(np.s_[0:0, 0:0])
+    made = play(BedRegion(learn_s=1.0), **{"in": (blocks_spec(20, 30), grid(5.0, 30), nothing)})["out"]
+    assert made[["rows", "columns", "found"]].tolist() == [(0, 0, True)]
+    assert made["onset"][0] < grid(5.0, 30)[-1]
 
 
 def test_a_region_that_is_set_lies_in_the_frame() -> None:
