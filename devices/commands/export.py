@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinegraph.devices.formats.exporter import Export, Exporter, chosen, exporters
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.data.bounded import reading
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.text.safe_text import say
@@ -47,6 +48,7 @@ def export(
         ),
     ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that are there already")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Export a recording's streams to the formats of other programs.
 
@@ -73,6 +75,10 @@ def export(
                 written = exporter.write(export)
             except OSError as error:
                 raise RecordingError(f"{place}: cannot be written ({error.strerror or error})") from None
+    if as_json:
+        made = [{"stream": name, "file": path, "samples": rows} for name, path, rows in written]
+        print_json({"written": made, "left_out": [name for name in opened.streams if name not in names]})
+        return
     for name, path, rows in written:
         say(f"{name}: {rows} samples to {path}")
     if exporter.suffix == "_csv" and time is ExportClock.seconds and export.origin > 0:

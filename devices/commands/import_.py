@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from kinegraph.devices.commands import import_arguments as argument
 from kinegraph.devices.commands.import_options import options_of, pairs, value
 from kinegraph.devices.formats.importer import read_files
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.text.safe_text import say
 
@@ -47,6 +48,7 @@ def import_(
     clock_sync: argument.ClockSync = True,
     untried: argument.UntriedFormats = False,
     overwrite: argument.Overwrite = False,
+    as_json: AsJson = False,
 ) -> None:
     """Turn files of other programs into one recording.
 
@@ -71,12 +73,26 @@ def import_(
     series = read_files(files, options, kinect=kinect)
     _check_names(series)
     _declare_axes(series, pairs("up", up), pairs("forward", forward))
-    if preview or output is None:
+    if output is not None and not preview:
+        _write(files, series, options, facts, output, chunk_ms / 1000, overwrite=overwrite)
+    if as_json:
+        found = options.findings
+        print_json(
+            {
+                "recording": None if preview else output,
+                "kinds": {str(file): kind for file, kind in found.kinds.items()},
+                "streams": {one.name: {"samples": len(one), **one.spec.to_json()} for one in series},
+                "facts": {**found.facts, **facts},
+                "doubts": found.doubts,
+                "findings": [finding.facts() for finding in found.claims],
+            }
+        )
+    elif preview:
         from kinegraph.devices.commands.preview import show
 
         show(series, options.findings)
     else:
-        _write(files, series, options, facts, output, chunk_ms / 1000, overwrite=overwrite)
+        _show_written(series, options)
 
 
 def _write(
@@ -105,9 +121,12 @@ def _write(
     }
     with bar(f"importing {', '.join(file.name for file in files)}") as progress:
         write_recording(output, series, header, chunk_s=chunk_s, overwrite=overwrite, progress=progress)
+
+
+def _show_written(series: Sequence[Series], options: ImportOptions) -> None:
     for one in series:
         say(f"{one.name}: {len(one.time)} samples, {one.spec.describe()}")
-    for text in (*doubts, *(finding.text for finding in options.findings.claims)):
+    for text in (*options.findings.doubts, *(finding.text for finding in options.findings.claims)):
         say(f"doubtful: {text}", err=True)
 
 

@@ -19,15 +19,24 @@ PRINTING = (
     "configs",
     "info",
     "replay",
+    "recover",
+    "dev try",
     "batch",
     "devices",
     "emg sessions",
+    "emg calibrate",
     "emg check-electrodes",
+    "emg compare",
+    "emg train-model",
+    "sleep check",
     "sleep evaluate",
     "sleep explain",
     "sleep nights",
     "motion evaluate",
+    "motion train steps",
     "files compare-clocks",
+    "files export",
+    "files import",
 )
 
 
@@ -65,6 +74,24 @@ def test_replay(kinegraph: Command, made: Path) -> None:
     found = results(kinegraph, "replay", made / "graph.yaml", made / "s")
     assert found["seconds"] == pytest.approx(2.0, abs=0.1) and not found["stopped"]
     assert found["outputs"]["rect"]["identical"] is True
+
+
+def test_recover(kinegraph: Command, made: Path) -> None:
+    assert results(kinegraph, "recover", made / "s") == []
+
+
+def test_export_and_import(kinegraph: Command, made: Path, tmp_path: Path) -> None:
+    exported = results(kinegraph, "files", "export", made / "s", "-o", tmp_path / "tables", "--stream", "board.emg")
+    (table,) = exported["written"]
+    assert table["samples"] > 0 and Path(table["file"]).exists() and "rect" in exported["left_out"]
+    arguments = ("--stream", "emg=TA,GM", "--time", "time", "--unit", "uV", "--preview")
+    imported = results(kinegraph, "files", "import", table["file"], *arguments)
+    assert imported["recording"] is None and imported["streams"]["emg"]["samples"] == table["samples"]
+
+
+def test_try(kinegraph: Command) -> None:
+    found = results(kinegraph, "dev", "try", "operators.filters.rectify.Rectify", "--examples", "1")
+    assert found["broken"] is None and found["cases"][0]["tries"] == 1
 
 
 def test_emg_sessions(kinegraph: Command, made: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
@@ -24,6 +25,7 @@ def check(
     simulate: Annotated[
         bool, typer.Option("--simulate", help="a simulated camera in the place of the real one")
     ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Check a depth camera over a bed: whether the region holds, noise, and light.
 
@@ -44,13 +46,15 @@ def check(
     if complaint := getattr(camera, "blind_at_night", ""):
         raise KinegraphError(f"node 'camera': {complaint}")
     with simulated(made.graph) if simulate else nullcontext():
-        looks = Looks(made.graph, out_s, between_s, in_s)
+        looks = Looks(made.graph, out_s, between_s, in_s, quiet=as_json)
         looks.run()
     stays = dict(zip(looks.sleepers, looks.minutes[1:], strict=True))
     findings = judge(looks.minutes[0], stays, looks.regions, looks.block, made.rise_mm, made.min_share)
-    for finding in findings:
+    if as_json:
+        print_json({"findings": findings, "problems": looks.problems})
+    for finding in findings if not as_json else ():
         say(f"{'well' if finding.well else 'NOT WELL'}: {finding.text}")
-    for problem in looks.problems:
+    for problem in looks.problems if not as_json else ():
         say(f"NOT WELL: the camera says: {problem}")
     if looks.problems or not all(finding.well for finding in findings):
         raise KinegraphError("the night would not be recorded properly; correct this, and check again")
@@ -61,7 +65,7 @@ class Looks:
 
     again = False
 
-    def __init__(self, graph: Any, out_s: float, between_s: float, in_s: float) -> None:
+    def __init__(self, graph: Any, out_s: float, between_s: float, in_s: float, *, quiet: bool = False) -> None:
         from kinegraph.operators.bed.setup.judgement import Minute
         from kinegraph.stream.engine.pipeline import Pipeline
         from kinegraph.stream.system.clock import SessionClock
@@ -81,7 +85,7 @@ class Looks:
             lengths += [between_s, in_s]
             words += [f"{who}lie down as you sleep; you have {between_s:g} s", f"{who}lie still for {in_s:g} s"]
         self._ends, self._words = [round(s * NS) for s in accumulate(lengths)], words
-        self._said, self._begun = -1, -1
+        self._said, self._begun, self._quiet = -1, -1, quiet
         blocks.observers.append(self._blocks)
         self.pipeline.stages["view"].edges["out"].observers.append(self._views)
         self.pipeline.stages["bed"].edges["out"].observers.append(self._bed)
@@ -98,7 +102,7 @@ class Looks:
         phase = sum(time - self._begun >= end for end in self._ends)
         while self._said < min(phase, len(self._words) - 1):
             self._said += 1
-            say(self._words[self._said])
+            say(self._words[self._said], err=self._quiet)
         self.stopped = phase == len(self._words)
         return phase
 

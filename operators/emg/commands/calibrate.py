@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def calibrate(
         float, typer.Option(min=0.05, max=10.0, help="for mvc: over how long the strongest mean is taken")
     ] = 0.5,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a reference that exists")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Make a reference for amplitude normalisation (operators.emg.normalise.Normalise) from a recording.
 
@@ -70,7 +72,10 @@ def calibrate(
         found, flags = reference(opened, kind.value, envelope, emg=emg, touchdown=touchdown, window_s=window_s)
     made = type(found)(**{**asdict(found), "subject": who, "source": recording.name})
     made.write(target)
-    _show(made, flags, target)
+    if as_json:
+        print_json({"file": target, **asdict(made), "quality": dict(zip(made.channels, flags, strict=True))})
+    else:
+        _show(made, flags, target)
 
 
 def _file_name(subject: str) -> str:

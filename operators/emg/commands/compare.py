@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
@@ -32,6 +33,7 @@ def compare(
         float, typer.Option(min=0.0, max=100.0, help="show no difference below this part (%) of the larger peak")
     ] = 5.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Compare EMG sessions: before and after, left and right, or a group.
 
@@ -69,6 +71,22 @@ def compare(
     private_folder(output)
     write_page(found, page, " and ".join(found.labels) if len(read) < 4 else f"{len(read)} sessions")
     write_tables(found, table)
+    if as_json:
+        bands = [
+            {
+                "name": band.name,
+                "divergence": found.distances[band.muscle][band.pair],
+                "differs_pct": band.places,
+                "mean_difference": band.difference,
+                "band": band.width,
+            }
+            for band in found.bands
+        ]
+        sessions_read = dict(zip(found.labels, found.cycles, strict=True))
+        print_json(
+            {"page": page, "table": table, "cycles": sessions_read, "muscles": bands, "notes": [*notes, *found.speeds]}
+        )
+        return
     for note in (*notes, *found.speeds):
         say(note)
     for band in found.bands:

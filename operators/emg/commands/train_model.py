@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ def emg_model(
     node: Annotated[str, typer.Option(metavar="NODE", help="the node with the cycles, if a session has several")] = "",
     cycles: Annotated[int, typer.Option(min=2, max=100, help="of the window that will be compared with it")] = 3,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Mixtures of each muscle's activation peaks over all accepted cycles, for `reference` of operators.emg.mixtures.drift.MixtureDrift.
 
@@ -65,6 +67,20 @@ def emg_model(
         "input": {"muscles": names, "unit": whole.alike["height_unit"]},
     }  # fmt: skip
     write_references(output, made, names, {**whole.alike, "fitting": {"circular": mixer.circular}}, about)
+    if as_json:
+        muscles = [
+            {
+                "muscle": name,
+                "cycles": made.cycles[k],
+                "modes": max(made.modes[k], 0),
+                "limit": made.limit[k],
+                "all_points": made.full[k],
+                "noise": made.noise[k],
+            }
+            for k, name in enumerate(names)
+        ]
+        print_json({"file": output, "cycles": count, **about, "muscles": muscles, "speeds": other_speeds(read)})
+        return
     title = f"{output}: {count} cycles of {len(read)} sessions, amplitudes: {whole.alike['normalisation']}"
     Screen().print(_table(title, names, made))
     for speed in (speeds := other_speeds(read)):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from enum import StrEnum
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.extras import optional
 from kinegraph.stream.text.safe_text import say
@@ -80,6 +81,7 @@ def steps(
         ),
     ] = 0.8,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace a model that exists")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Train a random forest on walking steps, and say what it is worth: with steps at random, and with people left out.
 
@@ -103,9 +105,13 @@ def steps(
     if alike and target is StepTarget.person:
         raise KinegraphError("--alike weighs the people of a class; with --target person each is a class of their own")
     made = learned(replace(given, alike=alike), walks[0].meta, target.value, features.value, trees, shuffles, sure)
-    show(made, f"{target.value}, {site.value}", sure)
     made.model.write(output)
     header = made.model.header
+    if as_json:
+        tried = [{**asdict(t), "probability": None, "verdict": t.verdict} for t in made.tried]
+        print_json({"file": output, "model": header, "tried": tried, "enrolled": made.enrolled})
+        return
+    show(made, f"{target.value}, {site.value}", sure)
     say(f"{output}: {header['steps']} steps of {header['subjects']} people; classes {', '.join(made.model.classes)}")
 
 

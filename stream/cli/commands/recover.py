@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.text.safe_text import say
 
 
@@ -20,6 +21,7 @@ def recover(
             help="write it here; otherwise it replaces the file, and the original is kept as *.unfinished",
         ),
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Rewrite a recording with all that can be read of it, and add its end and index. Replay and info need neither."""
     from kinegraph.stream.recording.recover import rewrite
@@ -27,6 +29,9 @@ def recover(
 
     with bar(f"recovering {recording.name}") as progress:
         found = rewrite(recording, output, progress)
+    if as_json:
+        print_json(found)
+        return
     for part in found:
         damage = f"; {part.damaged} damaged places were skipped" if part.damaged else ""
         say(f"{part.path}: {part.messages} messages, {part.samples} samples{damage}")

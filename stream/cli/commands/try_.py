@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
+from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.graph.components import find, import_from
 from kinegraph.stream.laws import Broken, Conformance, checks, hold, lags, trials
@@ -22,6 +23,7 @@ def try_(
         int, typer.Option(min=1, help="how many random cuttings, gaps and bad samples to try per case")
     ] = 50,
     seed: Annotated[int, typer.Option(help="seed of the random numbers: the same seed repeats the same tests")] = 1,
+    as_json: AsJson = False,
 ) -> None:
     """Try an operator on the laws: cut its case's samples in random ways, snapshot it, give it gaps and NaN, and compare.
 
@@ -31,20 +33,26 @@ def try_(
     cls = find(operator)
     if not issubclass(cls, Operator):
         raise KinegraphError(f"{operator} is a source; the laws are for operators and outlets")
-    console = Screen()
+    console = Screen(stderr=as_json)
+    cases: list[dict[str, object]] = []
     try:
         made = trials(cls)
         for k, make in enumerate(made):
             begun = perf_counter()
             trial = make()
             _one_case(trial, examples, seed, f"case {k + 1} of {len(made)}", console)
+            cases.append({"case": k + 1, "tries": examples, "lags_s": lags(trial)})
             console.print(
                 f"case {k + 1} of {len(made)}: every law held, {examples} random tries, {perf_counter() - begun:.1f} s"
             )
             for output, seconds in lags(trial).items():
                 console.print(_hint(output, seconds), soft_wrap=True)
     except Broken as broken:
+        if as_json:
+            print_json({"operator": operator, "cases": cases, "broken": str(broken), "not_checked": cls.exemptions})
         raise LawBroken(operator, broken) from None
+    if as_json:
+        print_json({"operator": operator, "cases": cases, "broken": None, "not_checked": cls.exemptions})
     for rule, reason in cls.exemptions.items():
         console.print(f"not checked: rule '{rule}' ({reason})", style="dim")
 
