@@ -1,4 +1,4 @@
-"""A simulated BITalino (r)evolution on a walking person's leg: its answers to commands, its frames."""
+"""A simulated BITalino (r)evolution on a walking person's leg, with a footswitch: its answers to commands, its frames."""
 
 from __future__ import annotations
 
@@ -80,8 +80,9 @@ class BitalinoModel:
         return made
 
     def digital(self, number: int) -> tuple[int, int, int, int]:
-        """A button on I1, pressed every other second."""
-        return (number // self.rate_hz % 2, 1, 0, 0)
+        """A footswitch on I1, and a button on I2 that is not pressed."""
+        index = round(number * 1000 / self.rate_hz)
+        return (int(self._signal.on_ground(np.array([index]))[0]), 1, 0, 0)
 
     def _obey(self, command: int) -> bytes:
         """One byte; returns the answer."""

@@ -21,6 +21,7 @@ from kinegraph.devices.cyton.protocol import (
 )
 from kinegraph.devices.people.treadmill.signal import BURSTS, Signal, Walker
 from kinegraph.devices.simulation.serve import Simulator, in_place
+from kinegraph.devices.simulation.shared_walk import WALK
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.params import param
 
@@ -70,6 +71,8 @@ class CytonModel:
         self._reset()
         self._said = 0
         self._began: float | None = None
+        self._ahead = 0
+        """At which sample of the walk packet 0 lies."""
         self._number = 0
         self._zero = 0
         self._pending = b""
@@ -95,7 +98,7 @@ class CytonModel:
         if not self._streaming:
             return []
         if self._began is None:
-            self._began = seconds
+            self._began, self._ahead = seconds, WALK.samples(PACKETS_HZ)
         due = int((seconds - self._began) * PACKETS_HZ)
         first = max(self._said, due - MOST_BEHIND)
         self._number += first - self._said
@@ -111,11 +114,11 @@ class CytonModel:
 
     def counts(self, number: int) -> Samples:
         """What the packet with this running number holds (8,): a whole number of counts per channel."""
-        start = max(0, number - 1)
+        start, walked = max(0, number - 1), self._ahead + number
         emg = (
-            self._signal.read(start, number + 1)[0].mean(axis=0)
+            self._signal.read(self._ahead + start, walked + 1)[0].mean(axis=0)
             if self._sixteen
-            else self._signal.read(number, number + 1)[0][0]
+            else self._signal.read(walked, walked + 1)[0][0]
         )
         emg = emg + (0.5 * (self._drive(start) + self._drive(number)) if self._sixteen else self._drive(number))
         first = CHANNELS if self._sixteen and self._counter(number) % 2 == 0 else 0
@@ -133,7 +136,7 @@ class CytonModel:
 
     def acceleration(self, number: int) -> Samples:
         """What the accelerometer says with this packet (3,), g: gravity and a leg that swings."""
-        turn = 2 * np.pi * float(self._signal.phase(np.array([number]))[0])
+        turn = 2 * np.pi * float(self._signal.phase(np.array([self._ahead + number]))[0])
         return np.array([0.35 * np.sin(turn), 0.08 * np.sin(2 * turn), 1.0 + 0.25 * np.cos(2 * turn)])
 
     def _packet(self, number: int) -> bytes:

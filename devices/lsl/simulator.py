@@ -1,4 +1,4 @@
-"""A simulated sender on the Lab Streaming Layer: the EMG of someone walking, and markers at every footfall."""
+"""A simulated sender on the Lab Streaming Layer: the EMG of someone walking, a footswitch, and markers at every footfall."""
 
 from __future__ import annotations
 
@@ -88,7 +88,10 @@ class Lsl(Simulator):
         return Signal(Walker(muscles, rate_hz=self.rate_hz or GAIT_HZ, seed=self.seed))
 
     def values(self, signal: Signal, start: int, stop: int) -> NDArray[np.float64]:
-        """Samples start..stop-1 (n, channels), in `unit`."""
+        """Samples start..stop-1 (n, channels), in `unit`; of a type with "switch" in its name 1 while the foot is on the ground."""
+        if "switch" in self.type.lower():
+            count = self.channels if isinstance(self.channels, int) else len(self.channels)
+            return np.repeat(signal.on_ground(np.arange(start, stop))[:, None], count, axis=1).astype(np.float64)
         return np.asarray(signal.read(start, stop)[0] * UNITS.get(self.unit, 1.0))
 
 

@@ -15,6 +15,7 @@ from kinegraph.devices.people.walking_limb import Limb, Site
 from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.sample_schedule import due
 from kinegraph.devices.simulation.serve import Server, Simulator
+from kinegraph.devices.simulation.shared_walk import WALK
 from kinegraph.stream.params import param
 
 if TYPE_CHECKING:
@@ -76,6 +77,8 @@ class MtiModel:
         """As it comes from the factory, it measures when it is switched on."""
         self._began: float | None = None
         self._said = self._zero = 0
+        self._ahead = 0
+        """At which sample of the walk measurement 0 lies."""
         self.ahead_s = 0.0
         self.stored = 0
         """How often settings were written into its lasting memory."""
@@ -88,7 +91,7 @@ class MtiModel:
         if not self._measuring or not self.rate_hz:
             return []
         if self._began is None:
-            self._began = seconds
+            self._began, self._ahead = seconds, WALK.samples(self.rate_hz)
         first, self._said = due(self._said, seconds - self._began, self.rate_hz)
         return self.packets(first, self._said)
 
@@ -101,7 +104,7 @@ class MtiModel:
             return []
         index = np.arange(first, stop)
         since = index - self._zero
-        measured = self.limb.measure(index)
+        measured = self.limb.measure(index + self._ahead)
         table = np.zeros(len(index), self._dtype)
         for name, (identifier, _) in zip(self._dtype.names or (), self._outputs, strict=True):
             kind = identifier & xbus.KIND
@@ -172,5 +175,5 @@ def _item(identifier: int) -> np.dtype[np.void]:
 def simulated(source: Mti) -> Iterator[Mti]:
     """What `--simulate` puts in its place."""
     device = SimulatedMti()
-    with device.on_usb() if source.port.startswith("usb://") else device.serving() as address:
+    with WALK.watched(), device.on_usb() if source.port.startswith("usb://") else device.serving() as address:
         yield replace(source, port=address)

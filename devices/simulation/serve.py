@@ -12,6 +12,7 @@ from typing import ClassVar, TypeVar
 from kinegraph.devices.simulation.cable import Line, line_at
 from kinegraph.devices.simulation.device_model import Clocked, DeviceModel
 from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection, FaultInjector
+from kinegraph.devices.simulation.shared_walk import WALK
 from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.source import Source
@@ -142,5 +143,5 @@ class Simulator:
 @contextmanager
 def in_place(source: S, device: Simulator) -> Iterator[S]:
     """The source as it reads a simulated device, which is there for as long as the context lasts."""
-    with device.serving() as address:
+    with WALK.watched(), device.serving() as address:
         yield replace(source, port=address)  # type: ignore[type-var]

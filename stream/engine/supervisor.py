@@ -216,7 +216,12 @@ class SourceSupervisor:
 
     @property
     def down(self) -> bool:
-        """Whether it is missing at the end of a session: failed, or nothing good has come of it, but errors or what was bad."""
+        """Whether it is missing at the end of a session: failed, or nothing good has come of it, but errors or what was bad.
+
+        A source that is not required may stay away altogether.
+        """
+        if not self.ready and not self.node.options.required:
+            return False
         return self.state == "failed" or (not self.ready and bool(self.error or self.problems))
 
     def start(self, again: bool = False) -> None:

@@ -144,7 +144,10 @@ def test_a_required_source_that_never_starts_ends_the_run_with_its_name() -> Non
 
 
 def test_a_source_that_is_not_required_may_be_missing() -> None:
-    nodes = "  bed: {use: parts.Silent, required: false}\n" + CHAIN % ""
+    nodes = (
+        "  bed: {use: parts.Silent, required: false}\n  foot: {use: devices.mti.Mti, port: /dev/ttyGONE, required: false}\n"
+        + CHAIN % ""
+    )
     session = session_of(nodes.replace("use: parts.Collect,", "use: parts.Collect, policy: block,"))
 
     def stop_when_all_came() -> None:
@@ -158,7 +161,8 @@ def test_a_source_that_is_not_required_may_be_missing() -> None:
     outcome = session.run()
     watcher.join()
     assert parts.numbers() == list(range(5000))
-    assert outcome.error is None
+    assert outcome.error is None and outcome.exit_code == 0
+    assert outcome.table["foot.imu"]["error"], "it stays visible that it is missing"
 
 
 def test_a_silent_source_does_not_stop_a_merge_and_what_comes_late_is_dropped(tmp_path: Path) -> None:

@@ -45,6 +45,25 @@ def events(seconds: Sequence[float] | Array, **meta: Any) -> kg.Series:
     return kg.Series("", kg.StreamSpec((), ONSET, units=("ns",), meta=meta), onset, onset.view(ONSET))
 
 
+def footswitch(touchdown_s: Array, liftoff_s: Array, rate_hz: float, until_s: float, start_s: float = 0.0) -> Array:
+    """What a switch under the foot shows at an even rate (n, 1): 1 from each touch-down to the next lift-off."""
+    seconds = start_s + np.arange(int((until_s - start_s) * rate_hz)) / rate_hz
+    down, up = np.searchsorted(touchdown_s, seconds, "right"), np.searchsorted(liftoff_s, seconds, "right")
+    first = np.searchsorted(liftoff_s, touchdown_s[0])
+    return (down > up - first).astype(float)[:, None]
+
+
+def cycles_last_as_long_as_the_files(cycles: kg.Series, touchdown_s: Array, within_s: float) -> None:
+    """Every cycle that was reported ends where the file's own touch-downs say; none is missed behind the first two."""
+    accepted = cycles.data[cycles.data["rejected"] == ""]
+    onsets = accepted["onset"] / NS
+    nearest = np.abs(onsets[:, None] - touchdown_s).min(axis=1)
+    assert nearest.max() < within_s
+    strides = np.diff(touchdown_s)[np.abs(onsets[:, None] - touchdown_s[:-1]).argmin(axis=1)]
+    np.testing.assert_allclose(accepted["duration_s"], strides, atol=2 * within_s)
+    assert len(accepted) >= len(touchdown_s) - 3
+
+
 def emg_envelope(emg: Array, rate_hz: float, cutoff_hz: float = 20.0) -> Array:
     """The textbook envelope of raw EMG (n, c): high-pass 20 Hz, rectify, low-pass; both filters forth and back."""
     high = butter(2, 20.0, "highpass", fs=rate_hz, output="sos")

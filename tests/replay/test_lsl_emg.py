@@ -1,4 +1,4 @@
-"""configs/lsl_emg.yaml: EMG from the Lab Streaming Layer, and its envelope back onto it.
+"""configs/lsl_emg.yaml: EMG and a footswitch from the Lab Streaming Layer: muscles' cycles, and the envelope back onto LSL.
 
 Recordings: six muscles of a treadmill walk (Santuz; MIT) in the amplifier's place, with a marker at every touch-down; and two files of
 LabRecorder's kind with clock offsets (xdf-modules' examples; MIT), for how such a recording is read.
@@ -15,7 +15,7 @@ import kinegraph as kg
 from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.devices.formats.importer import read_files
 from kinegraph.stream.chunk import NS
-from tests.replay.replaying import at, emg_envelope, signal
+from tests.replay.replaying import at, cycles_last_as_long_as_the_files, emg_envelope, footswitch, signal
 from tests.support.real import real_arrays, real_file
 
 WALK = real_arrays("emg/emg_santuz_tw12.npz")
@@ -23,13 +23,17 @@ CHANNELS = ("TA", "GM", "SO", "RF", "BF", "VM")
 EMG = WALK["emg_uV"][:, [WALK["names"].tolist().index(name) for name in CHANNELS]].astype(float)
 
 
-def test_the_envelopes_are_scipys_whatever_the_markers_say() -> None:
+def test_envelopes_are_scipys_and_cycles_the_files_whatever_the_markers_say() -> None:
     graph = kg.load("lsl_emg")
     stamps = np.round(WALK["touchdown_s"] * NS).astype(np.int64)
     spec = graph.specs["markers"]
     reported = np.array([(stamp, "touch-down") for stamp in stamps], spec.dtype)
     emg = signal(EMG, 1000.0, CHANNELS, ["uV"], time_s=WALK["t_s"])
-    live = graph.run({"emg": emg, "markers": kg.Series("", spec, stamps, reported)})["envelope"]
+    pressed = footswitch(WALK["touchdown_s"], WALK["liftoff_s"], 100.0, WALK["t_s"][-1])
+    foot = signal(pressed, 100.0, ["right"])
+    replayed = graph.run({"emg": emg, "foot": foot, "markers": kg.Series("", spec, stamps, reported)})
+    cycles_last_as_long_as_the_files(replayed["leg.cycles.closed"], WALK["touchdown_s"], 0.011)
+    live = replayed["leg.chain.envelope"]
     offline = at(live, WALK["t_s"], emg_envelope(EMG, 1000.0))
     assert live.spec.channels == CHANNELS
     np.testing.assert_allclose(live.data[24:-24], offline[24:-24], atol=0.003 * offline.max())

@@ -38,7 +38,7 @@ def replayed() -> kg.Results:
 
 
 def test_the_envelopes_are_scipys(replayed: kg.Results) -> None:
-    live = replayed["envelope"]
+    live = replayed["leg.chain.envelope"]
     offline = at(live, SECONDS, emg_envelope(EMG, RATE))
     np.testing.assert_allclose(live.data[30:-30], offline[30:-30], atol=0.01 * offline.max())
 

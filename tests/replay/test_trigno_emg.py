@@ -34,8 +34,9 @@ def imported() -> kg.Series:
 def envelope(imported: kg.Series) -> kg.Series:
     rate_hz = imported.spec.rate_hz
     emg = signal(1e6 * imported.data * SHARES, rate_hz, ["TA", "SO", "GM"], ["uV"], time_s=imported.time / NS)
-    aux = signal(np.zeros((3, 9)), 148.0, [f"{m}.a{axis}" for m in ("TA", "SO", "GM") for axis in "xyz"], ["g"])
-    return kg.load("trigno_emg").run({"trigno.emg": emg, "trigno.aux": aux})["envelope"]
+    axes = [f"{m}.{kind}{axis}" for m in ("TA", "SO", "GM") for kind in "agm" for axis in "xyz"]
+    aux = signal(np.zeros((3, 27)), 148.0, axes, (["g"] * 3 + ["deg/s"] * 3 + [""] * 3) * 3)
+    return kg.load("trigno_emg").run({"trigno.emg": emg, "trigno.aux": aux})["leg.chain.envelope"]
 
 
 def test_the_export_is_read_with_the_rate_that_its_stamps_have(imported: kg.Series) -> None:

@@ -212,6 +212,10 @@ class Signal:
         ends = np.append(np.column_stack([cycles, cycles + share]).ravel(), cycles[-1] + 1)
         return np.asarray(np.interp(index, knots, ends))
 
+    def on_ground(self, index: Indices) -> Indices:
+        """What a footswitch under the foot shows at each sample: 1 on the ground, 0 in swing."""
+        return (self.phase(index) % 1.0 < self.walker.stance_percent / 100).astype(np.int64)
+
     def envelope(self, index: Indices) -> Samples:
         """The standard deviation (n, muscles) in uV of the EMG at the given samples, noise left out: what an envelope estimates."""
         phase = self.phase(index)

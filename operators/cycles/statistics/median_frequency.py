@@ -60,7 +60,7 @@ class MedianFrequency(Operator[MedianFrequencyState]):
     inputs = {"signal": Input(), "closed": Input(trigger=True)}
 
     low_hz: float = param(20.0, least=0.0, help="the spectrum counts from here")
-    high_hz: float = param(450.0, above=0.0, help="up to here")
+    high_hz: float = param(450.0, above=0.0, help="up to here, or to half of the rate where that is less")
     longest_s: float = param(
         6.0, above=0.0, most=60.0, help="how old a cycle's begin may be when the cycle is reported"
     )
@@ -70,8 +70,10 @@ class MedianFrequency(Operator[MedianFrequencyState]):
         rate_hz = regular_signal(spec, "signal", "a raw signal")
         if not is_closed(specs["closed"].dtype):
             raise InputError("closed", specs["closed"].describe(), "cycles' events (operators.cycles.cycles.Cycles)")
-        if not self.low_hz < self.high_hz <= rate_hz / 2:
-            raise ParameterError("high_hz", self.high_hz, f"above low_hz and up to {rate_hz / 2:g} (half of the rate)")
+        if not self.low_hz < min(self.high_hz, rate_hz / 2):
+            raise ParameterError(
+                "low_hz", self.low_hz, f"below {min(self.high_hz, rate_hz / 2):g} (high_hz, half of the rate)"
+            )
         m = spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(m)])
         keep = int(self.longest_s * rate_hz) + 8
