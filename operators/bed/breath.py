@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.data.ordering import median
 from kinegraph.stream.kernel import kernel
 
 BEST = 12
@@ -76,7 +77,7 @@ def vary(x: Samples, first: int, stop: int, out: Samples) -> None:
     n = x.shape[0]
     steps = np.empty(stop - first)
     for c in range(x.shape[1]):
-        count, pairs = 0, 0
+        count, pairs, greatest = 0, 0, math.nan
         last = math.nan
         for t in range(first, stop):
             v = x[t % n, c]
@@ -84,11 +85,12 @@ def vary(x: Samples, first: int, stop: int, out: Samples) -> None:
                 count += 1
                 if abs(last) < math.inf:
                     steps[pairs] = abs(v - last)
+                    greatest = steps[pairs] if pairs == 0 else max(greatest, steps[pairs])
                     pairs += 1
             last = v
         out[0, c] = count / (stop - first)
-        out[1, c] = steps[:pairs].max() if pairs > 0 else math.nan
-        out[2, c] = np.median(steps[:pairs]) if pairs > 0 else math.nan
+        out[1, c] = greatest
+        out[2, c] = median(steps, pairs) if pairs > 0 else math.nan
 
 
 @kernel

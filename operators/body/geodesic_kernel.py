@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.data.ordering import median
 from kinegraph.stream.kernel import kernel
 
 ACROSS, FARTHEST_ACROSS_M = 3, 0.6
@@ -48,7 +49,7 @@ def middle_of(points: Samples, middle: Samples) -> int:
                 kept[0, n], kept[1, n], kept[2, n] = points[i, j, 0], points[i, j, 1], points[i, j, 2]
                 n += 1
     for a in range(3):
-        middle[a] = np.median(kept[a, :n])
+        middle[a] = median(kept[a], n)
     best, at = math.inf, -1
     for i in range(h):
         for j in range(w):
@@ -283,7 +284,7 @@ def surface_at(points: Samples, place: Samples, within_m: float) -> float:
             if beside < within_m**2 and abs(points[i, j, 2] - place[2]) < 4.0 * within_m:
                 kept[n] = points[i, j, 2]
                 n += 1
-    return float(np.median(kept[:n])) if n >= 8 else math.nan
+    return median(kept, n) if n >= 8 else math.nan
 
 
 @kernel(nogil=True)

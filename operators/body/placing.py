@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.stream.chunk import Samples
+from kinegraph.stream.data.ordering import median
 from kinegraph.stream.kernel import kernel
 
 INSIDE = np.full(34, 0.03)
@@ -120,7 +121,7 @@ def _trunk(points: Samples) -> float:
             if not math.isnan(points[k, 2]):
                 found[n] = points[k, 2] + INSIDE[k] - points[k, 7]
                 n += 1
-    return float(np.median(found[:n])) if n else math.nan
+    return median(found, n) if n else math.nan
 
 
 @kernel

@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 from llvmlite import binding as llvm
-from numba.core import compiler, dispatcher, types
+from numba.core import compiler, dispatcher, targetconfig, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import builtin_registry
@@ -36,6 +36,19 @@ def names_only(names: Iterable[str]) -> bytes:
     """Bitcode in which functions have these names and do nothing: numba looks there for what an object file has."""
     text = "\n".join(f'define void @"{name}"() {{ ret void }}' for name in names)
     return llvm.parse_assembly(text).as_bitcode()  # type: ignore[no-any-return]
+
+
+@cache
+def _compare_flags_quickly() -> None:
+    """By what was set: numba looks up every call by its flags, and reads all their defaults for it (7 % of the time that it compiles)."""
+    flags: Any = targetconfig.TargetConfig
+
+    def equal(one: Any, other: object) -> bool:
+        return one is other or (
+            type(one) is type(other) and (one._values == other._values or one.values() == other.values())
+        )
+
+    flags.__eq__, flags.__hash__ = equal, lambda one: hash(type(one))
 
 
 class _CalleeLibrary(JITCodeLibrary):
@@ -90,6 +103,7 @@ class _Compiler(_FunctionCompiler):  # type: ignore[misc]
 
     def _compile_core(self, args: Any, return_type: Any) -> Any:
         _shorten_errors()
+        _compare_flags_quickly()
         return self._compile(_Library, args, return_type)
 
 

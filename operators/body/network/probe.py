@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.stream.chunk import Samples
+from kinegraph.stream.data.ordering import median
 from kinegraph.stream.kernel import kernel
 
 REACH, LEAST = 3, 4
@@ -61,4 +62,4 @@ def _depth_at(depth: NDArray[np.uint16], x: float, y: float) -> float:
             if depth[i, j] != 0:
                 found[n] = depth[i, j]
                 n += 1
-    return float(np.median(found[:n])) / 1000.0 if n >= LEAST else math.nan
+    return median(found, n) / 1000.0 if n >= LEAST else math.nan

@@ -49,8 +49,9 @@ def least_activity(curves: Samples, slots: Times, group: Times, mean: Samples, r
     """
     n = mean.shape[0]
     quiet = n // 10
-    first, level = 0, np.inf
+    first, level, top = 0, np.inf, mean[0]
     for i in range(n):
+        top = max(top, mean[i])
         total = 0.0
         for k in range(quiet):
             total += mean[(i + k) % n]
@@ -66,7 +67,7 @@ def least_activity(curves: Samples, slots: Times, group: Times, mean: Samples, r
                 count += 1
     if rest_sd == 0.0 and of_peak == 0.0:
         return -np.inf
-    return float(level + max(rest_sd * np.sqrt(squares / max(count, 1)), of_peak * (mean.max() - level)))
+    return float(level + max(rest_sd * np.sqrt(squares / max(count, 1)), of_peak * (top - level)))
 
 
 @kernel

@@ -49,11 +49,10 @@ class Fitting:
         return 1 if self.circular else 0
 
 
-@kernel
 def contrast_of(mean: Samples) -> float:
     """How many times the mean curve's median its peak is; infinite where the median is not above 0."""
-    middle = np.median(mean)
-    return float(mean.max() / middle) if middle > 0.0 else np.inf
+    middle = float(np.median(mean))
+    return float(mean.max()) / middle if middle > 0.0 else np.inf
 
 
 @kernel
@@ -77,13 +76,12 @@ def start(
     return begin_mixture(points, chosen, places[:found], circular, least, weights, means, covariances)
 
 
-@kernel
 def highest_apart(means: Samples, count: int) -> float:
     """The circular distance along the cycle of the two highest modes (thesis eq. 6.7); NaN below two."""
     if count < 2:
         return np.nan
-    order = np.argsort(-means[:count, 1])
-    apart = abs(means[order[0], 0] - means[order[1], 0])
+    first, second = np.argsort(-means[:count, 1], kind="stable")[:2]
+    apart = abs(float(means[first, 0] - means[second, 0]))
     return float(min(apart, CYCLE - apart))
 
 

@@ -12,6 +12,7 @@ from kinegraph.operators.segmentation.kernels.layout import (
 from kinegraph.operators.segmentation.kernels.rest import at_rest
 from kinegraph.stream.chunk import Samples, Times
 from kinegraph.stream.data.finite import finite
+from kinegraph.stream.data.ordering import median
 from kinegraph.stream.kernel import kernel
 
 KNOWN, SHARED = 2, 4
@@ -174,15 +175,6 @@ def typical(s: Memory, t: int) -> float:
                 apart[at] = far
                 at += 1
     return s.radius_share * median(apart, at) if at else 0.0
-
-
-@kernel
-def median(values: Samples, count: int) -> float:
-    """Of the first `count` values, which are put in order: half of what numpy's takes to compile."""
-    first = values[:count]
-    first.sort()
-    middle = count // 2
-    return float(first[middle] if count % 2 else (first[middle - 1] + first[middle]) / 2.0)
 
 
 @kernel

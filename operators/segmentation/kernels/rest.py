@@ -15,6 +15,7 @@ from kinegraph.operators.segmentation.kernels.layout import (
     Memory,
 )
 from kinegraph.stream.chunk import Samples
+from kinegraph.stream.data.ordering import select
 from kinegraph.stream.kernel import kernel
 
 
@@ -136,8 +137,7 @@ def choose_peak(s: Memory, t: int) -> None:
     found = np.empty(n)
     for i in range(n):
         found[i] = abs(s.moves[(first + i) % s.moves.shape[0]])
-    found.sort()
-    s.peak = found[n - s.mass]
+    s.peak = select(found, n, n - s.mass)
     if not s.has_rested:
         tell_first_rest(s, first, t)
 
