@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinegraph.stream.chunk import NEVER, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.operators.monitors.latch import Latch
+from kinegraph.stream.chunk import NEVER, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.data.require import regular_signal
-from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
+from kinegraph.stream.domain.alarm import FoundAlarms, alarm, alarm_chunk, alarms_spec
 from kinegraph.stream.kernel import kernel
 from kinegraph.stream.operator import Case, Operator, grid
 from kinegraph.stream.params import param
@@ -61,7 +62,7 @@ class ChannelWatchState:
     filled, began        samples of the window under way, the first one's stamp;  last (c,) the sample before
     sums (c,), products (c, c), same (c, c)   of the differences of neighbouring samples in it; pairs of equal samples
     ends (4, c)          highest and lowest value in it, and how often each came
-    on, calm (c, c)      which pairs have an alarm (1: same, 2: alike; on the diagonal 3: clips), and windows in a row that say otherwise
+    alarms (c, c)        of pairs (1: same, 2: alike), on the diagonal of channels (3: clips)
     """
 
     filled: int
@@ -73,8 +74,7 @@ class ChannelWatchState:
     same: Samples
     moved: Samples
     ends: Samples
-    on: Times
-    calm: Times
+    alarms: Latch
     size: int
     names: list[str]
 
@@ -111,11 +111,11 @@ class ChannelWatch(Operator[ChannelWatchState]):
         self.set_state(
             ChannelWatchState(
                 0, NEVER, np.full(c, np.nan), 0, np.zeros(c), np.zeros(square), np.zeros(square), np.zeros(c), nothing(c),
-                np.zeros(square, np.int64), np.zeros(square, np.int64), max(2, round(self.window_s * rate_hz)), names,
+                Latch.calm(c, c), max(2, round(self.window_s * rate_hz)), names,
             ),
             decision_s={"out": max(2, round(self.window_s * rate_hz)) / rate_hz},
         )  # fmt: skip
-        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
+        return alarms_spec(spec.meta)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s = self.state
@@ -162,22 +162,17 @@ class ChannelWatch(Operator[ChannelWatchState]):
         s.sums, s.products, s.same, s.moved = (np.zeros_like(v) for v in (s.sums, s.products, s.same, s.moved))
 
     def _pair(self, found: FoundAlarms, stamp: int, a: int, b: int, kind: int) -> None:
-        """`calm` counts windows in a row that say otherwise than the alarm that there is."""
+        """An alarm stays of its kind until it is over."""
         s = self.state
-        s.calm[a, b] = 0 if (kind > 0) == (s.on[a, b] > 0) else s.calm[a, b] + 1
-        if s.calm[a, b] < 2:
+        was = int(s.alarms.on[a, b])
+        if not s.alarms.turns((a, b), was if kind and was else kind, 2):
             return
-        was = int(s.on[a, b])
-        s.on[a, b], s.calm[a, b] = kind, 0
         if a == b:
-            what = "clipping below the range"
-            found.append((stamp, (s.began, s.names[a], ON if kind else OVER, what, CLIPS if kind else "")))
+            found.append(alarm(stamp, s.began, s.names[a], "clipping below the range", CLIPS if kind else ""))
             return
         what = f"{'same samples as' if (kind or was) == 1 else 'alike'} {s.names[b]}"
         since = stamp if not kind else s.began
-        found.append(
-            (stamp, (since, s.names[a], ON if kind else OVER, what, (SAME if kind == 1 else ALIKE) if kind else ""))
-        )
+        found.append(alarm(stamp, since, s.names[a], what, ("", SAME, ALIKE)[kind]))
 
 
 def nothing(channels: int) -> Samples:

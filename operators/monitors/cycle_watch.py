@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from kinegraph.operators.cycles.cycle import CLOSED, is_closed, longest_cycle_s
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Specs, StreamSpec, Times
-from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarms_until
+from kinegraph.stream.domain.alarm import ON, OVER, FoundAlarms, alarms_spec, alarms_until
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
@@ -35,19 +35,19 @@ class CycleWatchState:
     gap             stamp before which input is missing, where no output has said so yet; NEVER: nothing is
     """
 
-    began: int
-    newest: int
-    heard: int
-    durations: Times
-    measured: int
-    latest: Times
-    onsets: Times
-    seen: int
-    covered: int
-    on: Times
-    spans: Times
-    walked: int
-    gap: int
+    began: int = NEVER
+    newest: int = NEVER
+    heard: int = NEVER
+    durations: Times = field(default_factory=lambda: np.zeros(RECENT, np.int64))
+    measured: int = 0
+    latest: Times = field(default_factory=lambda: np.zeros(LATEST, np.int64))
+    onsets: Times = field(default_factory=lambda: np.zeros(LATEST, np.int64))
+    seen: int = 0
+    covered: int = 0
+    on: Times = field(default_factory=lambda: np.zeros(4, np.int64))
+    spans: Times = field(default_factory=lambda: np.zeros(RECENT, np.int64))
+    walked: int = 0
+    gap: int = NEVER
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,24 +87,10 @@ class CycleWatch(Operator[CycleWatchState]):
         longest_s = longest_cycle_s(specs["closed"])
         silent_s = max(self.first_s, self.silent_cycles * longest_s)
         self.set_state(
-            CycleWatchState(
-                NEVER,
-                NEVER,
-                NEVER,
-                np.zeros(RECENT, np.int64),
-                0,
-                np.zeros(LATEST, np.int64),
-                np.zeros(LATEST, np.int64),
-                0,
-                0,
-                np.zeros(4, np.int64),
-                np.zeros(RECENT, np.int64),
-                0,
-                NEVER,
-            ),
+            CycleWatchState(),
             decision_s={"out": silent_s} if longest_s else None,
         )
-        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=specs["closed"].meta)}
+        return alarms_spec(specs["closed"].meta)
 
     def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
         s = self.state

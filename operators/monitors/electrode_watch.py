@@ -8,7 +8,7 @@ import numpy as np
 
 from kinegraph.operators.emg.quality import QUALITY
 from kinegraph.stream.chunk import Chunk, Specs, StreamSpec, Times
-from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER
+from kinegraph.stream.domain.alarm import ON, OVER, FoundAlarms, alarm_chunk, alarms_spec
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import Case, Operator
 from kinegraph.stream.params import param
@@ -59,16 +59,15 @@ class ElectrodeWatch(Operator[ElectrodeState]):
             ElectrodeState([], nothing, nothing.copy(), nothing.copy(), []),
             decision_s={"out": window_s} if window_s else None,
         )
-        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
+        return alarms_spec(spec.meta)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
-        stamps, rows = [], []
+        found: FoundAlarms = []
         for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
             alarm = self._look(str(row["name"]), str(row["flag"]), str(row["reason"]), int(row["onset"]))
             if alarm:
-                stamps.append(stamp)
-                rows.append(alarm)
-        return Chunk(np.array(stamps, np.int64), np.array(rows, ALARM), chunk.until, chunk.lost and -1)
+                found.append((stamp, alarm))
+        return alarm_chunk(found, chunk)
 
     @classmethod
     def cases(cls) -> list[Case]:

@@ -11,7 +11,7 @@ from kinegraph.operators.contacts.limbs import LimbsState, OnePerLimb, limbs_of,
 from kinegraph.operators.cycles.limb_cycles import LIMB_CLOSED
 from kinegraph.operators.monitors.cycle_watch import CycleWatch
 from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
-from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS
+from kinegraph.stream.domain.alarm import alarms_spec
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import Case, Input
 from kinegraph.stream.params import param
@@ -52,7 +52,7 @@ class LimbWatch(OnePerLimb[CycleWatch]):
         object.__setattr__(self, "parts", parts)
         state = LimbsState([part.state for part in parts], np.zeros((len(parts), 2), np.int64))
         self.set_state(state, decision_s=parts[0].decision_s)
-        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=closed.meta)}
+        return alarms_spec(closed.meta)
 
     def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
         limbs = [part.subject for part in self.parts]

@@ -11,7 +11,7 @@ import numpy as np
 from kinegraph.operators.inputs.marker_columns import marker_columns, marker_metres, marker_names
 from kinegraph.operators.monitors.marker_watch_kernel import BONE, FOUND, JUMP, JUMP_OVER, LENGTH, TRACK, follow_markers
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
-from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
+from kinegraph.stream.domain.alarm import ON, OVER, FoundAlarms, alarm_chunk, alarms_spec
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.operator import Case, Operator, grid
 from kinegraph.stream.params import param
@@ -84,7 +84,7 @@ class MarkerWatch(Operator[MarkerWatchState]):
         state.tracks["leapt"] = state.tracks["at"] = NEVER
         state.bones["off"] = state.bones["right"] = NEVER
         self.set_state(state, decision_s={"out": CALM_S + 1 / spec.rate_hz})
-        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=spec.meta)}
+        return alarms_spec(spec.meta)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         s, n = self.state, len(chunk.time)

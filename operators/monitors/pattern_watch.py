@@ -8,10 +8,11 @@ import numpy as np
 
 from kinegraph.operators.contacts.limbs import Belonging
 from kinegraph.operators.cycles.cycle import POINTS, Expected, check_cycles, longest_cycle_s, some_cycles
+from kinegraph.operators.monitors.latch import Latch
 from kinegraph.operators.monitors.reference_patterns import likeness
 from kinegraph.operators.monitors.stage_change import StageUnderWay
-from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
-from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, Times
+from kinegraph.stream.domain.alarm import FoundAlarms, alarm, alarm_chunk, alarms_spec
 from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
 
@@ -31,8 +32,8 @@ class PatternWatchState:
     """
     first (100, m), taken (m,)   sum of each muscle's first cycles, and how many
     recent (k, 100, m), seen (m,) the latest cycles, rings
-    on, agreed (m,)              the muscle whose pattern each has (-1: its own), and cycles in a row that disagree
-    sized (2, 2, m)              of size and rest: 1: another than at first; cycles in a row that disagree
+    like (m,)                    alarms about patterns: the muscle whose pattern each has (-1: its own)
+    sized (2, m)                 alarms about size and rest
     level (100, m), within (m,)  sum of each muscle's first cycles in the stage under way; how many it has in it;  stage: of each limb
     newest (l,)                  the highest number of each limb's cycles: one that is reported again counts once
     """
@@ -42,9 +43,8 @@ class PatternWatchState:
     taken: Times
     recent: Samples
     seen: Times
-    on: Times
-    agreed: Times
-    sized: Times
+    like: Latch
+    sized: Latch
     level: Samples
     within: Times
     stage: StageUnderWay
@@ -90,14 +90,14 @@ class PatternWatch(Operator[PatternWatchState]):
         self.set_state(
             PatternWatchState(
                 Expected.empty(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((self.latest, POINTS, m)),
-                np.zeros(m, np.int64), np.full(m, -1), np.zeros(m, np.int64), np.zeros((2, 2, m), np.int64),
+                np.zeros(m, np.int64), Latch.calm(m, value=-1), Latch.calm(2, m),
                 np.zeros((POINTS, m)), np.zeros(m, np.int64), StageUnderWay.empty(ways), np.full(ways, -1), limbs,
                 list(spec.channels),
             ),
             decision_s={"out": longest_s} if longest_s else None,
         )  # fmt: skip
         meta = {**spec.meta, "needs_cycles": self.first + self.latest}
-        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=meta)}
+        return alarms_spec(meta)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         found: FoundAlarms = []
@@ -138,11 +138,11 @@ class PatternWatch(Operator[PatternWatchState]):
         for i in ready[s.within[ready] >= self.first + self.latest].tolist():
             level, now = s.level[:, i] / self.first, s.recent[:, :, i].mean(axis=0)
             noise = NOISE_SHARE * max(float(level.max()), 0.0)
-            swapped = bool(s.on[i] >= 0 and likeness(now[:, None], level[:, None])[0, 0] < 0.7)
+            swapped = bool(s.like.on[i] >= 0 and likeness(now[:, None], level[:, None])[0, 0] < 0.7)
             size = float(level.mean()), float(now.mean()), self.times
             rest = _rest(level, noise), _rest(now, noise), self.times_rest
-            self._size(found, when, (i, SIZE), size, explained=swapped or bool(s.sized[REST, 0, i]))
-            self._size(found, when, (i, REST), rest, explained=swapped or bool(s.sized[SIZE, 0, i]))
+            self._size(found, when, (i, SIZE), size, explained=swapped or bool(s.sized.on[REST, i]))
+            self._size(found, when, (i, REST), rest, explained=swapped or bool(s.sized.on[SIZE, i]))
 
     def _patterns(self, found: FoundAlarms, when: tuple[int, int], ready: Times) -> None:
         s = self.state
@@ -152,15 +152,15 @@ class PatternWatch(Operator[PatternWatchState]):
         for k, i in enumerate(ready.tolist()):
             best = int(like[k].argmax())
             other = like[k, best] > max(0.7, like[k, k] + self.margin)
-            self._tell(found, when, i, int(ready[best]) if other else -1)
+            self._pattern(found, when, i, int(ready[best]) if other else -1)
 
     def _begin_again(self, found: FoundAlarms, when: tuple[int, int], mine: Array) -> None:
         """Another stage has begun: what a limb's muscles had before is no measure for their size."""
         s = self.state
         for kind, (_, over, _) in enumerate(MEASURES):
-            for i in np.flatnonzero(mine & (s.sized[kind, 0] == 1)).tolist():
-                found.append((when[0], (when[1], s.names[i], OVER, over, "")))
-        s.level[:, mine], s.within[mine], s.sized[:, :, mine] = 0.0, 0, 0
+            found += [alarm(*when, s.names[i], over) for i in np.flatnonzero(mine & (s.sized.on[kind] == 1)).tolist()]
+        s.level[:, mine], s.within[mine] = 0.0, 0
+        s.sized.end((slice(None), mine))
 
     def _size(
         self, found: FoundAlarms, when: tuple[int, int], which: tuple[int, int], measured: tuple[float, float, float],
@@ -169,31 +169,25 @@ class PatternWatch(Operator[PatternWatchState]):
         """Compare a measure of a muscle before and now with how many times as high it may be; `which`: the muscle and the measure.
         `explained`: another alarm about the muscle is its cause."""
         i, kind = which
-        sized, (before, now, times) = self.state.sized[kind], measured
+        sized, (before, now, times) = self.state.sized, measured
         ratio = now / before if before > 0 and now > 0 else 1.0
         off = max(ratio, 1 / ratio)
-        other = off >= (1 + (times - 1) / 2 if sized[0, i] else times)
-        sized[1, i] = 0 if other == bool(sized[0, i]) else sized[1, i] + 1
-        if sized[1, i] >= self.cycles and not (other and explained):
-            sized[:, i] = int(other), 0
+        other = off >= (1 + (times - 1) / 2 if sized.on[kind, i] else times)
+        if sized.turns((kind, i), int(other), self.cycles, hold=other and explained):
             what, over, advice = MEASURES[kind]
             text = f"{what} is {ratio:.2g} times as high as at first" if other else over
-            found.append(
-                (when[0], (when[1], self.state.names[i], ON if other else OVER, text, advice if other else ""))
-            )
+            found.append(alarm(*when, self.state.names[i], text, advice if other else ""))
 
-    def _tell(self, found: FoundAlarms, when: tuple[int, int], i: int, like: int) -> None:
+    def _pattern(self, found: FoundAlarms, when: tuple[int, int], i: int, like: int) -> None:
         s = self.state
-        s.agreed[i] = 0 if like == s.on[i] else s.agreed[i] + 1
-        if s.agreed[i] < self.cycles:
+        was = int(s.like.on[i])
+        if not s.like.turns(i, like, self.cycles):
             return
-        for kind in np.flatnonzero(s.sized[:, 0, i]).tolist() if like >= 0 else ():
-            found.append((when[0], (when[1], s.names[i], OVER, MEASURES[kind][1], "")))
-            s.sized[kind, :, i] = 0
-        was, s.on[i], s.agreed[i] = int(s.on[i]), like, 0
+        for kind in np.flatnonzero(s.sized.on[:, i]).tolist() if like >= 0 else ():
+            found.append(alarm(*when, s.names[i], MEASURES[kind][1]))
+            s.sized.end((kind, i))
         what = f"its curve is that of {s.names[like if like >= 0 else was]}"
-        row = (when[1], s.names[i], ON if like >= 0 else OVER, what, ADVICE if like >= 0 else "")
-        found.append((when[0], row))
+        found.append(alarm(*when, s.names[i], what, ADVICE if like >= 0 else ""))
 
 
 def _rest(curve: Samples, noise: float) -> float:

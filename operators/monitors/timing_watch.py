@@ -10,6 +10,7 @@ import numpy as np
 from kinegraph.operators.contacts.limbs import Belonging
 from kinegraph.operators.cycles.contact_spans import LatestCycles, changed_at
 from kinegraph.operators.cycles.cycle import POINTS, Expected, check_named_cycles, longest_cycle_s, some_cycles
+from kinegraph.operators.monitors.latch import Latch
 from kinegraph.operators.monitors.reference_patterns import (
     WORKS_PCT,
     likeness,
@@ -19,7 +20,7 @@ from kinegraph.operators.monitors.reference_patterns import (
 )
 from kinegraph.operators.monitors.stage_change import StageUnderWay
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
-from kinegraph.stream.domain.alarm import ALARM, ALARM_UNITS, ON, OVER, FoundAlarms, alarm_chunk
+from kinegraph.stream.domain.alarm import FoundAlarms, alarm, alarm_chunk, alarms_spec
 from kinegraph.stream.errors import ParameterError, nearest
 from kinegraph.stream.operator import Case, Input, Operator
 from kinegraph.stream.params import param
@@ -45,8 +46,7 @@ class TimingWatchState:
     lags (l, k), measured (l,)   how much later than at first the latest cycles were, in % of the cycle, rings by limb
     scatter (l, 3)               sum of squared differences of neighbouring lags, how many, the latest lag
     recent (k, 100, m), seen (m,) the latest cycles, rings
-    limb (l, 2, 2), muscle (m, 2) of each limb's alarms and each muscle's: 1 (a muscle: another's place + 1) while it is on; cycles in a
-                                 row that say otherwise
+    limb (l, 2), muscle (m,)     alarms about each limb's contacts, and each muscle (what is on: another's place + 1)
     past                         of each limb's latest cycles: by how much half a cycle later fits better, and the lag;  newest (l,): number
     decided (l, 2)               the begin of the cycle with which each alarm about contacts began or ended
     lag (l,)                     how much later than at first the cycles of the alarm about it were
@@ -61,8 +61,8 @@ class TimingWatchState:
     scatter: Samples
     recent: Samples
     seen: Times
-    limb: Times
-    muscle: Times
+    limb: Latch
+    muscle: Latch
     past: LatestCycles
     newest: Times
     decided: Times
@@ -130,7 +130,7 @@ class TimingWatch(Operator[TimingWatchState]):
             TimingWatchState(
                 Expected.empty(specs["closed"].dtype), np.zeros((POINTS, m)), np.zeros(m, np.int64), np.zeros((ways, self.latest)),
                 np.zeros(ways, np.int64), np.zeros((ways, 3)), np.zeros((self.latest, POINTS, m)), np.zeros(m, np.int64),
-                np.zeros((ways, 2, 2), np.int64), np.zeros((m, 2), np.int64), LatestCycles.empty(ways, 2), np.full(ways, -1),
+                Latch.calm(ways, 2), Latch.calm(m), LatestCycles.empty(ways, 2), np.full(ways, -1),
                 np.zeros((ways, 2), np.int64), np.zeros(ways), StageUnderWay.empty(ways), limbs, list(spec.channels), known,
                 np.stack([textbook_pattern(name) for name in known], axis=1),
             ),
@@ -138,7 +138,7 @@ class TimingWatch(Operator[TimingWatchState]):
         )  # fmt: skip
         unnamed = [name for name, muscle in zip(spec.channels, known, strict=True) if self.textbook and not muscle]
         meta = {**spec.meta, "needs_cycles": self.first + self.latest, "unnamed": unnamed}
-        return {"out": StreamSpec((), ALARM, units=ALARM_UNITS, meta=meta)}
+        return alarms_spec(meta)
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
         found: FoundAlarms = []
@@ -171,7 +171,7 @@ class TimingWatch(Operator[TimingWatchState]):
             s.recent[s.seen[i] % self.latest, :, i] = curve[:, i]
             s.seen[i] += 1
         self._textbook(found, when, limb, mine)
-        if half < self.margin and not s.limb[limb, HALF, 0]:
+        if half < self.margin and not s.limb.on[limb, HALF]:
             self._lag(found, when, limb, mine, curve)
 
     def _half(self, mine: Array, curve: Samples) -> float:
@@ -182,10 +182,11 @@ class TimingWatch(Operator[TimingWatchState]):
     def _begin_again(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array) -> None:
         """Another stage has begun: at another speed muscles work at another time."""
         s = self.state
-        if s.limb[limb, SHIFT, 0]:
-            found.append((when[0], (when[1], self._who(limb), OVER, OVERS[SHIFT], "")))
+        if s.limb.on[limb, SHIFT]:
+            found.append(alarm(*when, self._who(limb), OVERS[SHIFT]))
         s.first[:, mine], s.taken[mine] = 0.0, 0
-        s.measured[limb], s.scatter[limb], s.limb[limb, SHIFT], s.past.measures[limb, :, 1] = 0, 0.0, 0, 0.0
+        s.measured[limb], s.scatter[limb], s.past.measures[limb, :, 1] = 0, 0.0, 0.0
+        s.limb.end((limb, SHIFT))
 
     def _lag(self, found: FoundAlarms, when: tuple[int, int], limb: int, mine: Array, curve: Samples) -> None:
         """Take a cycle into what was at first, or measure how much later it is."""
@@ -206,7 +207,7 @@ class TimingWatch(Operator[TimingWatchState]):
             return
         mean = float(s.lags[limb].mean())
         error = np.sqrt(s.scatter[limb, 0] / s.scatter[limb, 1] / 2 * (1 / self.latest + 1 / self.first))
-        least = self.off_pct / 2 if s.limb[limb, SHIFT, 0] else self.off_pct
+        least = self.off_pct / 2 if s.limb.on[limb, SHIFT] else self.off_pct
         other = int(abs(mean) >= max(least, self.sds * error))
         towards = np.sign(mean if other else s.lag[limb])
         size = abs(mean) if other else abs(float(s.lag[limb]))
@@ -245,10 +246,10 @@ class TimingWatch(Operator[TimingWatchState]):
         )
         for k, i in enumerate(known):
             best = int(like[k].argmax())
-            other = not s.limb[limb, HALF, 0] and not half and like[k, best] >= max(ALIKE, own[k] + self.margin + 0.2)
+            other = not s.limb.on[limb, HALF] and not half and like[k, best] >= max(ALIKE, own[k] + self.margin + 0.2)
             name = s.known[known[best]] if other else ""
             text = f"its curve is rather that of {name}", "its curve is another muscle's", OTHER_MUSCLE
-            self._report(found, when, s.muscle[i], int(known[best]) + 1 if other else 0, (s.names[i], *text))
+            self._report(found, when, s.muscle, i, int(known[best]) + 1 if other else 0, (s.names[i], *text))
 
     def _contacts(
         self, found: FoundAlarms, when: tuple[int, int], limb: int, kind: int, now: int, scores: Samples,
@@ -257,21 +258,21 @@ class TimingWatch(Operator[TimingWatchState]):
         """An alarm about a limb's contacts, or its end. `scores` of its latest cycles: positive ones agree with what is so now. The change
         began after the cycle with which the one before it was reported."""
         s, onsets = self.state, self.state.past.latest(limb)[0]
-        before, later = int(s.limb[limb, kind, 0]), onsets > s.decided[limb, kind]
+        later = onsets > s.decided[limb, kind]
         began = int(onsets[later][changed_at(scores[later])])
-        self._report(found, (when[0], began), s.limb[limb, kind], now, words)
-        if s.limb[limb, kind, 0] != before:
+        if self._report(found, (when[0], began), s.limb, (limb, kind), now, words):
             s.decided[limb, kind] = when[1]
 
     def _report(
-        self, found: FoundAlarms, when: tuple[int, int], alarm: Times, now: int, words: tuple[str, str, str, str]
-    ) -> None:
-        """`alarm` (2,): what is on, and cycles in a row that disagree. `words`: about whom, what, what when it is over, what to do."""
-        alarm[1] = 0 if now == alarm[0] else alarm[1] + 1
-        if alarm[1] >= self.cycles:
-            alarm[:] = now, 0
+        self, found: FoundAlarms, when: tuple[int, int], alarms: Latch, at: int | tuple[int, int], now: int,
+        words: tuple[str, str, str, str],
+    ) -> bool:  # fmt: skip
+        """Take what is so now; whether an alarm begins or ends. `words`: about whom, what, what when it is over, what to do."""
+        turned = alarms.turns(at, now, self.cycles)
+        if turned:
             who, what, over, advice = words
-            found.append((when[0], (when[1], who, ON if now else OVER, what if now else over, advice if now else "")))
+            found.append(alarm(*when, who, what if now else over, advice if now else ""))
+        return turned
 
     def _who(self, limb: int) -> str:
         return self.state.limbs.names[limb] if self.state.limbs.names else self.subject

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.devices.people.tilted_room import Stay, TiltedCamera, TiltedRoom
 from kinegraph.operators.bed.breathing import Breathing
 from kinegraph.operators.bed.presence import Presence
 from kinegraph.stream.chunk import NS
 from tests.sleep.depth_frames import play
 from tests.sleep.tilted_night import HEIGHT, START, WIDTH, blocks_of, inputs
+from tests.sleep.tilted_room import Stay, TiltedCamera, TiltedRoom
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinegraph.devices.people.tilted_room import TiltedRoom
 from kinegraph.operators.bed.frames.blocks import simplify
 from kinegraph.operators.bed.frames.regions import REGION, region_spec
 from kinegraph.stream.chunk import NS, Array, StreamSpec
 from kinegraph.stream.operator import grid
 from tests.sleep.depth_frames import BLOCK, META, blocks_spec
+from tests.sleep.tilted_room import TiltedRoom
 
 WIDTH, HEIGHT, START = 256, 192, 900 * NS
 
