@@ -129,11 +129,7 @@ def _plateau(high: Samples, areas: Samples, limits: BedLimits) -> tuple[int, int
             continue
         spans = _spans(bed)
         rows, columns = _extent(spans.sum(axis=1)), _extent(spans.sum(axis=0))
-        if (
-            rows[1] > rows[0]
-            and columns[1] > columns[0]
-            and spans[slice(*rows), slice(*columns)].mean() >= MIN_FILLED
-        ):
+        if rows[1] > rows[0] and columns[1] > columns[0] and spans[slice(*rows), slice(*columns)].mean() >= MIN_FILLED:
             rows = _beyond(rows, level[:, slice(*columns)], covered[:, slice(*columns)])
             columns = _beyond(columns, level[slice(*rows)].T, covered[slice(*rows)].T)
             rows, columns = _inset(*rows), _inset(*columns)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kinegraph.devices.people.tilted_cameras import on_mattress, placed, random_room
-from kinegraph.devices.people.tilted_room import Stay, TiltedCamera, TiltedRoom
 from kinegraph.operators.bed.bed_plateau import BedLimits, bed_in
 from kinegraph.stream.chunk import Array
+from tests.sleep.tilted_cameras import on_mattress, placed, random_room
 from tests.sleep.tilted_night import blocks_of
+from tests.sleep.tilted_room import Stay, TiltedCamera, TiltedRoom
 
 LIMITS = BedLimits(200.0, 1200.0, 0.08)
 

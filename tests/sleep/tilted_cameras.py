@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinegraph.devices.people.tilted_room import FOCAL, Stay, TiltedCamera, TiltedRoom
+from tests.sleep.tilted_room import FOCAL, Stay, TiltedCamera, TiltedRoom
 
 SIDES = ("foot", "left", "right", "head")
 MIDDLE_M = (0.0, 1.0, 0.5)
