@@ -71,6 +71,10 @@ class AnalogSource(Source):
         out = StreamSpec((len(names),), rate_hz=self.rate_hz, channels=names, units=units)
         return {"out": out, "timing": timing_spec()}
 
+    def missing(self) -> str:
+        self.library()
+        return ""
+
     def prepare(self) -> None:
         line_below.prepare()
         self.library()

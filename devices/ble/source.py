@@ -51,6 +51,10 @@ class BleSource(Source):
     def serve(self, reading: BleReading, feed: Feed) -> None:
         """Whatever has to be done between two notifications."""
 
+    def missing(self) -> str:
+        library()
+        return ""
+
     def prepare(self) -> None:
         library()  # where it is missing, waiting for a device would be in vain
         line_below.prepare()

@@ -111,6 +111,10 @@ class BrainflowBoard(Source):
             specs["markers"] = StreamSpec((1,), channels=("marker",))
         return specs
 
+    def missing(self) -> str:
+        library()
+        return ""
+
     def prepare(self) -> None:
         line_below.prepare()
         library()

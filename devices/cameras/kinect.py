@@ -65,6 +65,17 @@ class AzureKinect(DepthCamera):
     def light(self) -> str:
         return "flood"
 
+    def missing(self) -> str:
+        if self.recording:
+            return ""
+        count = library().connected_device_count()
+        wanted = int(self.device) if self.device.isdigit() else 0
+        return (
+            ""
+            if wanted < count
+            else f"no Azure Kinect of number {wanted} is connected; there are {count or 'no others'}"
+        )
+
     def prepare(self) -> None:
         DepthCamera.prepare(self)
         library()

@@ -6,7 +6,7 @@ import json
 import select
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
 from kinegraph.devices.discovery.finders import FoundDevice
@@ -21,16 +21,39 @@ AT: list[tuple[str, int]] = [("127.0.0.1", protocol.COMMAND_PORT), ("255.255.255
 
 def find() -> Iterator[FoundDevice]:
     """Every server that answers within a second."""
+    servers, models = answering(AT)
+    for who, info in servers.items():
+        yield described(who, info, models.get(who))
+
+
+def missing(server: str, port: int) -> str:
+    """What to report of a server that does not answer within a second, with those that do; "" where it does."""
+    try:
+        wanted = socket.gethostbyname(server), port
+    except OSError as error:
+        return f"NatNet server {server}: {error.strerror}"
+    servers, _ = answering([wanted, *AT], wanted)
+    if wanted in servers:
+        return ""
+    others = ", ".join(f"{host}:{at}" for host, at in servers)
+    hint = f"there is {others}" if others else "does Motive stream (Settings, Streaming, Enable), on that network card?"
+    return f"no NatNet server answers at {server}:{port}; {hint}"
+
+
+def answering(
+    at: Sequence[tuple[str, int]], enough: tuple[str, int] | None = None
+) -> tuple[dict[tuple[str, int], ServerInfo], dict[tuple[str, int], NatNetModels]]:
+    """The servers that answer within a second, and what they stream; no longer than until `enough` has answered."""
     servers: dict[tuple[str, int], ServerInfo] = {}
     models: dict[tuple[str, int], NatNetModels] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ask:
         ask.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        for where in AT:
+        for where in at:
             with suppress(OSError):
                 ask.sendto(protocol.message(protocol.DISCOVERY, protocol.connect()[4:]), where)
                 ask.sendto(protocol.connect(), where)
         deadline = time.monotonic() + ANSWER_S
-        while (left := deadline - time.monotonic()) > 0:
+        while enough not in servers and (left := deadline - time.monotonic()) > 0:
             if not select.select([ask], [], [], left)[0]:
                 break
             with suppress(OSError, NatNetError):
@@ -41,8 +64,7 @@ def find() -> Iterator[FoundDevice]:
                     ask.sendto(protocol.message(protocol.REQUEST_MODELS), who)
                 elif kind == protocol.MODELS and who in servers:
                     models[who] = protocol.models(payload, servers[who].natnet)
-    for who, info in servers.items():
-        yield described(who, info, models.get(who))
+    return servers, models
 
 
 def described(who: tuple[str, int], info: ServerInfo, models: NatNetModels | None) -> FoundDevice:

@@ -109,6 +109,11 @@ class NatNet(Source):
             specs["analog"] = StreamSpec((len(self.analog),), rate_hz=rate, channels=self.analog, meta=device)
         return specs
 
+    def missing(self) -> str:
+        from kinegraph.devices.natnet.discovery import missing
+
+        return missing(self.server, self.port)
+
     def prepare(self) -> None:
         line_below.prepare()
         natnet_numbers.prepare()

@@ -16,6 +16,7 @@ from kinegraph.devices.clocks.timing import chunks_of_one, timing_spec
 from kinegraph.devices.frames.declared import NS_PER
 from kinegraph.devices.osc.protocol import Argument, OscError, OscReader
 from kinegraph.devices.transport.datagrams import GATHER_HELP, UdpTransport, gathered_s
+from kinegraph.devices.transport.transport import unreachable
 from kinegraph.stream.chunk import Specs, StreamSpec
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.params import param
@@ -118,6 +119,9 @@ class OscInlet(Source):
         if not specs:
             raise ParameterError("streams", [], "at least one stream")
         return {**specs, "timing": timing_spec()}
+
+    def missing(self) -> str:
+        return unreachable(f"udp://{self.host}:{self.port}")
 
     def prepare(self) -> None:
         line_below.prepare()

@@ -11,6 +11,7 @@ from kinegraph.devices.formats.gltf.vrm_reader import read_vrm
 from kinegraph.devices.osc.protocol import OscError, read_osc
 from kinegraph.devices.osc.vmc_frames import VmcFrames
 from kinegraph.devices.transport.datagrams import UdpTransport
+from kinegraph.devices.transport.transport import unreachable
 from kinegraph.stream.chunk import Chunk, Specs
 from kinegraph.stream.domain.humanoid import usual_body
 from kinegraph.stream.domain.skeleton import JointTree
@@ -37,6 +38,9 @@ class Vmc(Source):
 
     def specs(self) -> Specs:
         return {"out": self._tree().spec(None)}
+
+    def missing(self) -> str:
+        return unreachable(f"udp://{self.host}:{self.port}")
 
     def read(self, feed: Feed) -> None:
         frames = VmcFrames(self._tree().offsets[0])

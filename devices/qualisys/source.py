@@ -22,7 +22,7 @@ from kinegraph.devices.qualisys.protocol import (
     QualisysFrame,
     QualisysNames,
 )
-from kinegraph.devices.transport.transport import TcpTransport
+from kinegraph.devices.transport.transport import TcpTransport, unreachable
 from kinegraph.stream.chunk import Samples, Specs, StreamSpec
 from kinegraph.stream.domain.axes import Axes, Up
 from kinegraph.stream.errors import DeviceError, ParameterError, nearest
@@ -109,6 +109,9 @@ class Qualisys(Source):
                 meta=device,
             )
         return specs
+
+    def missing(self) -> str:
+        return unreachable(f"tcp://{self.server}:{self.port}")
 
     def prepare(self) -> None:
         line_below.prepare()

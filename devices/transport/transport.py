@@ -19,6 +19,8 @@ from kinegraph.stream.errors import DeviceError, nearest
 
 MOST = 65536
 """Bytes taken in one read."""
+PROBE_S = 1.5
+"""So long a server may take to accept a connection, before a session."""
 GOODBYE_S = 0.2
 """So long the other end of a TCP connection may take to close it too."""
 
@@ -73,7 +75,10 @@ def present(address: str) -> bool | None:
 
 
 def missing(address: str) -> str:
-    """What to say of a serial port or a USB device that is not there, with the nearest that is; "" where only opening it can tell."""
+    """What to report of a serial port or a USB device that is not there, with the nearest that is; "" where only opening it can show.
+
+    A server in the network is not asked: some serial bridges take one connection, and the next only after a while.
+    """
     if address.startswith("usb://"):
         from kinegraph.devices.transport.usb_bus import UsbAddress, find
 
@@ -82,11 +87,22 @@ def missing(address: str) -> str:
         except DeviceError as error:
             return str(error)
         return ""
+    if address.startswith("udp://"):
+        return unreachable(address)
     if present(address) is not False:
         return ""
     there = [port.device for port in connected_ports()]
     hint = nearest(address, there) if there else "there is no serial port at all"
     return f"serial port {address} does not exist; {hint}"
+
+
+def unreachable(address: str) -> str:
+    """Why "tcp://host:port" cannot be connected to, or "udp://host:port" cannot be listened at; "" where it can. Closed again at once."""
+    try:
+        with TcpTransport(address, PROBE_S) if address.startswith("tcp://") else connect(address):
+            return ""
+    except DeviceError as error:
+        return str(error)
 
 
 def connected_ports() -> list[Any]:

@@ -15,7 +15,7 @@ from kinegraph.devices.clocks.pace import DevicePace
 from kinegraph.devices.clocks.rate_check import POLICY_HELP, Policy, RateCheck
 from kinegraph.devices.clocks.timing import timing_chunk, timing_spec
 from kinegraph.devices.transport.handshake import answer, shown
-from kinegraph.devices.transport.transport import TcpTransport, Transport
+from kinegraph.devices.transport.transport import TcpTransport, Transport, unreachable
 from kinegraph.devices.trigno import protocol as protocol
 from kinegraph.devices.trigno.protocol import ENDING, PORTS, SENSORS, Layout, TrignoRows
 from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec
@@ -109,6 +109,9 @@ class Trigno(Source):
                 (len(channels),), rate_hz=protocol.AUX_HZ, channels=channels, units=units, meta=meta
             )
         return specs
+
+    def missing(self) -> str:
+        return unreachable(self.port)
 
     def prepare(self) -> None:
         line_below.prepare()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+import sys
 import threading
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -12,9 +14,18 @@ import serial.tools.list_ports as list_ports
 from serial.tools.list_ports_common import ListPortInfo
 from structlog.testing import capture_logs
 
+from kinegraph.devices.analog.inputs import AnalogInput
+from kinegraph.devices.analog.nidaq import NiDaq
+from kinegraph.devices.cameras import kinect
+from kinegraph.devices.cameras.kinect import AzureKinect
 from kinegraph.devices.lsl import LslInlet
+from kinegraph.devices.natnet import NatNet, discovery
 from kinegraph.devices.oak import Oak
+from kinegraph.devices.osc.inlet import OscArgument, OscInlet, OscStream
+from kinegraph.devices.osc.vmc_inlet import Vmc
+from kinegraph.devices.qualisys import Qualisys
 from kinegraph.devices.transport import transport, usb_bus
+from kinegraph.devices.trigno.source import Trigno, TrignoSensor
 from kinegraph.stream.chunk import Specs, StreamSpec
 from kinegraph.stream.engine import probing
 from kinegraph.stream.errors import DeviceError
@@ -108,6 +119,51 @@ def test_a_camera_that_is_not_among_those_seen(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("kinegraph.devices.oak.source.all_cameras", lambda _: seen)
     assert "connected: 14442C10" in Oak(device="14442C11").missing()
     assert Oak().missing() == Oak(device="1.2").missing() == Oak(device="192.168.1.5").missing() == ""
+
+
+def test_a_server_that_does_not_answer_is_named() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        sensors = (TrignoSensor(1),)
+        assert Trigno(port=f"tcp://127.0.0.1:{port}", sensors=sensors).missing() == ""
+        assert Qualisys(port=port, markers=("head",)).missing() == ""
+    for source in (
+        Trigno(port=f"tcp://127.0.0.1:{port}", sensors=sensors),
+        Qualisys(port=port, markers=("head",)),
+    ):
+        assert f"tcp://127.0.0.1:{port} cannot be reached: Connection refused" in source.missing()
+
+
+def test_a_port_where_another_program_listens_is_named() -> None:
+    stream = OscStream("knee", "/knee", (OscArgument("angle"),))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        for source in (OscInlet((stream,), port=port), Vmc(port=port)):
+            assert "another program listens there" in source.missing()
+    for source in (OscInlet((stream,), port=port), Vmc(port=port)):
+        assert source.missing() == ""
+
+
+def test_a_natnet_server_that_does_not_answer_is_named_with_one_that_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(discovery, "AT", [])
+    monkeypatch.setattr(discovery, "ANSWER_S", 0.01)
+    assert "no NatNet server answers at 127.0.0.1:1; does Motive stream" in discovery.missing("127.0.0.1", 1)
+    monkeypatch.setattr(discovery, "answering", lambda *_: ({("127.0.0.9", 1510): None}, {}))
+    assert "there is 127.0.0.9:1510" in NatNet("127.0.0.1", bodies=("racket",)).missing()
+    assert NatNet("127.0.0.9", bodies=("racket",)).missing() == ""
+
+
+def test_a_kinect_that_is_not_connected_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kinect, "library", lambda: SimpleNamespace(connected_device_count=lambda: 1))
+    assert AzureKinect().missing() == ""
+    assert "no Azure Kinect of number 1 is connected; there are 1" in AzureKinect(device="1").missing()
+
+
+def test_a_library_that_is_not_installed_is_named_before_anything_compiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "nidaqmx", None)
+    with pytest.raises(DeviceError, match=r"pip install 'kinegraph\[ni\]'"):
+        NiDaq(inputs=(AnalogInput("ai0"),)).missing()
 
 
 def test_a_stream_that_nobody_sends_is_named_with_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
