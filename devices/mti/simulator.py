@@ -14,7 +14,7 @@ from kinegraph.devices.people.walking_back import Back, Manner
 from kinegraph.devices.people.walking_limb import Limb, Site
 from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.sample_schedule import due
-from kinegraph.devices.simulation.serve import Server, Simulator
+from kinegraph.devices.simulation.serve import Server, Simulator, in_place
 from kinegraph.devices.simulation.shared_walk import WALK
 from kinegraph.stream.params import param
 
@@ -175,5 +175,9 @@ def _item(identifier: int) -> np.dtype[np.void]:
 def simulated(source: Mti) -> Iterator[Mti]:
     """What `--simulate` puts in its place."""
     device = SimulatedMti()
-    with WALK.watched(), device.on_usb() if source.port.startswith("usb://") else device.serving() as address:
+    if not source.port.startswith("usb://"):
+        with in_place(source, device) as simulated_source:
+            yield simulated_source
+        return
+    with WALK.watched(), device.on_usb() as address:
         yield replace(source, port=address)

@@ -14,6 +14,8 @@ from typing import Protocol
 from kinegraph.stream.errors import DeviceError
 
 MOST = 65536
+MOST_WAITING = 1 << 20
+"""Bytes that wait for a slow host."""
 
 
 class Line(Protocol):
@@ -45,9 +47,13 @@ class PseudoTerminal:
 
     The host's side is held open here as well, and raw from the beginning: software that sets nothing itself is not sent its own
     bytes back, and the settings last when the host closes.
+
+    patient   once the host has sent something, what it does not fetch in time waits instead of being lost: the kernel holds only 4 kB,
+              half a second of a fast device, and a busy computer is no fault that the user of a simulated device asked for
     """
 
-    def __init__(self, name: str = "ttySIM") -> None:
+    def __init__(self, name: str = "ttySIM", patient: bool = False) -> None:
+        self._patient, self._asked, self._waiting = patient, False, b""
         self._folder = Path(tempfile.mkdtemp(prefix="kinegraph-"))
         self._link = self._folder / name
         self.address = str(self._link)
@@ -72,20 +78,26 @@ class PseudoTerminal:
         os.close(self._master)
         os.close(self._host)
         self._master = self._host = -1
+        self._asked, self._waiting = False, b""
 
     def read(self, timeout_s: float) -> bytes:
         waiting = [self._master] if self._master >= 0 else []
         if not select.select(waiting, [], [], timeout_s)[0]:
             return b""
         try:
-            return os.read(self._master, MOST)
+            heard = os.read(self._master, MOST)
         except OSError:
             return b""
+        self._asked = self._asked or bool(heard)
+        return heard
 
     def write(self, data: bytes) -> None:
-        if self._master >= 0:
-            with suppress(OSError):
-                os.write(self._master, data)
+        if self._master < 0:
+            return
+        data, sent = self._waiting + data, 0
+        with suppress(OSError):
+            sent = os.write(self._master, data)
+        self._waiting = data[sent:][:MOST_WAITING] if self._patient and self._asked else b""
 
     def close(self) -> None:
         self.unplug()
@@ -162,10 +174,10 @@ class TcpLine:
             self._client = None
 
 
-def line_at(address: str = "", name: str = "ttySIM") -> Line:
-    """A pseudo-terminal, where the system has such, or, for "tcp://host:port" and elsewhere, a TCP server."""
+def line_at(address: str = "", name: str = "ttySIM", patient: bool = False) -> Line:
+    """A pseudo-terminal (`patient`: see there), where the system has such, or, for "tcp://host:port" and elsewhere, a TCP server."""
     if not address:
-        return PseudoTerminal(name) if _has_pseudo_terminals() else TcpLine()
+        return PseudoTerminal(name, patient) if _has_pseudo_terminals() else TcpLine()
     host, _, port = address.removeprefix("tcp://").rpartition(":")
     if not address.startswith("tcp://") or not host or not port.isdigit():
         raise DeviceError(

@@ -143,5 +143,5 @@ class Simulator:
 @contextmanager
 def in_place(source: S, device: Simulator) -> Iterator[S]:
     """The source as it reads a simulated device, which is there for as long as the context lasts."""
-    with WALK.watched(), device.serving() as address:
-        yield replace(source, port=address)  # type: ignore[type-var]
+    with WALK.watched(), Server(device.brain(), line_at(name=device.port_name, patient=True)) as server:
+        yield replace(source, port=server.address)  # type: ignore[type-var]

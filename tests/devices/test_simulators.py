@@ -63,6 +63,21 @@ def test_both_ends_of_the_cable(address: str) -> None:
     assert came == every_byte + b"ABC"
 
 
+@pytest.mark.parametrize("patient", [True, False])
+def test_what_a_busy_host_does_not_fetch_waits_only_at_a_patient_cable(patient: bool) -> None:
+    sent, came = bytes(range(256)) * 200, b""
+    line = PseudoTerminal(patient=patient)
+    with connect(line.address) as link:
+        link.write(b"go")
+        assert line.read(2.0) == b"go"
+        line.write(sent)
+        while more := link.read(0.2):
+            came += more
+            line.write(b"")
+    line.close()
+    assert (came == sent) == patient and sent.startswith(came)
+
+
 @pytest.mark.parametrize("address", ["", "tcp://127.0.0.1:0"])
 def test_a_cable_can_be_pulled_out_and_put_in_again(address: str) -> None:
     with Server(Ticking(), line_at(address)) as server:
