@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -151,3 +151,28 @@ MVNX = _grammar("Xsens MVN", (".mvnx",), "mvnx", "read_mvnx", untried=True)
 EDF = Importer("EDF and BDF", (".edf", ".bdf"), _edf, order=30, claims=_is_edf)
 BIDS_MOTION = Importer("BIDS motion", (".tsv",), _bids_motion, order=29, claims=_is_bids_motion)
 MATLAB = Importer("MATLAB", (".mat",), _matlab, order=90, claims=_is_matlab)
+
+
+def _binary(what: str, suffix: str, module: str, read: str, knows: Callable[[Any, Path, bytes], bool]) -> Importer:
+    """An importer of files that are no text."""
+
+    def claims(path: Path, head: bytes) -> bool:
+        return knows(_of(module), path, head)
+
+    def read_all(files: Sequence[Path], options: ImportOptions, last: bool) -> tuple[list[Series], ImportOptions]:
+        return _through(_of("lab.reading").reader(what, getattr(_of(module), read))(files, options, last))
+
+    return Importer(what, (suffix,), read_all, order=30, claims=claims)
+
+
+GT3X = _binary("ActiGraph", ".gt3x", "wearables.actigraph", "read_gt3x", lambda m, _, head: bool(m.is_gt3x(head)))
+AGD = _binary(
+    "ActiLife epochs", ".agd", "wearables.actigraph", "read_agd", lambda m, path, head: bool(m.is_agd(path, head))
+)
+AXIVITY = _binary("Axivity", ".cwa", "wearables.axivity", "read_cwa", lambda m, _, head: bool(m.knows(head)))
+ACTILIFE = _grammar("ActiLife export", (".csv",), "wearables.actigraph", "read_csv", "is_csv")
+AWD = _grammar("Actiwatch", (".awd",), "wearables.actiwatch", "read_awd", "is_awd")
+ACTIWARE = _grammar("Actiware export", (".csv",), "wearables.actiwatch", "read_actiware", "is_actiware")
+MOTIONWATCH = _grammar("MotionWatch", (".mtn",), "wearables.actiwatch", "read_motionwatch", "is_motionwatch")
+GENEACTIV = _grammar("GENEActiv", (".bin",), "wearables.geneactiv", "read_bin")
+OPENSIGNALS = _grammar("OpenSignals", (".txt",), "wearables.opensignals", "read_opensignals")

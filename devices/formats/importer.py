@@ -49,6 +49,23 @@ def importers() -> dict[str, Importer]:
     return installed(GROUP, "importer")
 
 
+FOREIGN = {
+    ".hpf": "a recording of Delsys EMGworks, which only that reads; export it as CSV with EMGworks or the Delsys File Utility",
+    ".shpf": "a recording of Delsys Trigno Discover, which only that reads; export it as CSV there",
+    ".tdf": "a recording of BTS (SMART, EMG-Analyzer), which only that reads; export it as C3D there",
+    ".asc": "an export of AMTI NetForce without names of its columns; export it with a header line as CSV, or as C3D",
+    ".bsf": "a recording of AMTI NetForce, which only that reads; export it as text with a header line (CSV), or as C3D",
+    ".dat": "a recording of Kistler BioWare, which only that reads; export it as text with a header line, or as C3D",
+    ".nev": "a recording of Noraxon MyoResearch, which only that reads; export it as CSV or C3D there",
+    ".mvn": "a recording of Xsens MVN, which only that reads; export it as MVNX or C3D there",
+    ".mtb": "a log of Xsens MT Manager, which only that reads; export it as text there",
+    ".qtm": "a recording of Qualisys Track Manager, which only that reads; export it as TSV or C3D there",
+    ".acq": "a recording of BIOPAC AcqKnowledge, which is not read; save it there as EDF or text",
+    ".adicht": "a recording of ADInstruments LabChart, which is not read; export it there as EDF, MATLAB or text",
+    ".poly5": "a recording of TMSi Polybench, which is not read; convert it there to EDF",
+    ".h5": "an HDF5 file, which is not read; OpenSignals and others write text, too: export that",
+}
+"""By suffix: files of other programs that are not read, saved by what, and what is to be exported instead."""
 HEAD = 1 << 16
 """Bytes of a file that show its kind."""
 
@@ -70,6 +87,8 @@ def importer_of(file: Path, by_suffix: Mapping[str, Importer]) -> Importer:
     if found is None:
         if head.startswith(b"\x89MCAP"):
             raise RecordingError(f"{file}: is a recording already; `kinegraph info` shows it")
+        if foreign := FOREIGN.get(file.suffix.lower()):
+            raise RecordingError(f"{file}: this looks like {foreign}")
         raise RecordingError(
             f"{file}: its content does not show what kind of file this is; its name must end in {', '.join(sorted(by_suffix))}"
         )

@@ -14,7 +14,7 @@ from kinegraph.stream.chunk import Array, StreamSpec
 from kinegraph.stream.errors import InputError
 
 META = "rotations"
-"""In a spec's `meta`: the first channel of each quaternion; [] where channels that look so are none."""
+"""In a spec's `meta`: the first channel of each quaternion, or of the only one; [] where channels that look so are none."""
 ORDERS = ("wxyz", "xyzw", "0123", "1234")
 
 
@@ -28,7 +28,7 @@ def rotations(spec: StreamSpec) -> tuple[int, ...]:
         return ()
     if META in spec.meta:
         declared = spec.meta[META]
-        starts = declared if isinstance(declared, list) else []
+        starts = declared if isinstance(declared, list) else [declared]
         return tuple(at for at in starts if isinstance(at, int) and 0 <= at <= spec.shape[-1] - 4)
     if len(spec.shape) != 1 or len(spec.channels) != spec.shape[0]:
         return ()
