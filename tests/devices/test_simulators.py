@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import signal
 import subprocess
 import sys
@@ -24,9 +23,11 @@ from kinegraph.devices.simulation.fault_injection import FaultInjection, FaultIn
 from kinegraph.devices.simulation.serve import Server
 from kinegraph.devices.transport.transport import connect
 from kinegraph.stream.errors import DeviceError, KinegraphError
+from tests.support.command_line import Command, kinegraph
 from tests.support.device_feed import reading, wait_for
 from tests.support.pose_model import pose_network_or_skip
 
+__all__ = ["kinegraph"]
 HOUSE = Path(__file__).resolve().parents[2]
 CONFIGS = HOUSE / "configs"
 
@@ -203,18 +204,6 @@ def test_simulators_are_found_by_name() -> None:
         assert kind.__doc__, name
 
 
-def kinegraph(*arguments: str, timeout_s: float = 120.0, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "kinegraph", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=timeout_s,
-        stdin=subprocess.DEVNULL,
-        cwd=cwd,
-        env={**os.environ, "COLUMNS": "160"},
-    )
-
-
 def test_the_command_prints_an_address_that_can_be_opened() -> None:
     command = [sys.executable, "-m", "kinegraph", "dev", "simulate", "cyton", "daisy=true", "lose=0.1", "seed=2"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -242,16 +231,23 @@ def test_the_command_prints_an_address_that_can_be_opened() -> None:
         (["lines", "columns=[emg]", "reset_every_s=5"], "neither a time nor a counter"),
     ],
 )
-def test_the_command_tells_what_is_wrong(arguments: list[str], message: str) -> None:
-    done = kinegraph("dev", "simulate", *arguments)
-    assert done.returncode in (2, 3) and message in done.stderr
+def test_the_command_tells_what_is_wrong(kinegraph: Command, arguments: list[str], message: str) -> None:
+    code, _, complaint = kinegraph("dev", "simulate", *arguments)
+    assert code in (2, 3) and message in " ".join(complaint.split())
 
 
-def test_the_command_lists_what_there_is() -> None:
-    assert "cyton" in kinegraph("dev", "simulate").stdout
+def test_the_command_lists_what_there_is(kinegraph: Command) -> None:
+    assert "cyton" in kinegraph("dev", "simulate")[1]
 
 
-def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:
+def inputs_of(info: str) -> dict[str, list[str]]:
+    """The rows of the inputs that `kinegraph info` prints, by their names."""
+    return {line.split()[0]: line.split() for line in info.splitlines() if " input " in line}
+
+
+def test_a_whole_session_outlives_a_pulled_cable(
+    kinegraph: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The graph goes on, the source is opened again, and what is missing is marked in the recording and counted."""
     out, brain = tmp_path / "session", CytonModel()
     with Server(brain, line_at(name="ttyCYTON")) as server:
@@ -273,9 +269,8 @@ def test_a_whole_session_outlives_a_pulled_cable(tmp_path: Path) -> None:
             _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
     assert "source failed" in errors and "is gone" in errors and "source reopened" in errors
-    rows = {
-        line.split()[0]: line.split() for line in kinegraph("info", str(out)).stdout.splitlines() if " input " in line
-    }
+    monkeypatch.setenv("COLUMNS", "160")
+    rows = inputs_of(kinegraph("info", out)[1])
     assert int(rows["board.emg"][2]) > 700 and int(rows["board.emg"][6]) == 1, "one gap"
 
 
@@ -298,7 +293,9 @@ IDENTIFIED = {
 
 
 @pytest.mark.parametrize("config", SIMULATED, ids=lambda p: p.stem)
-def test_a_config_runs_without_hardware(config: Path, tmp_path: Path) -> None:
+def test_a_config_runs_without_hardware(
+    config: Path, kinegraph: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Through the real transport; every source's first output has brought samples, and nothing was lost."""
     if "devices.oak" in config.read_text(encoding="utf-8") and find_spec("depthai") is None:
         pytest.skip("depthai is not installed (pip install 'kinegraph[oak]')")
@@ -306,15 +303,13 @@ def test_a_config_runs_without_hardware(config: Path, tmp_path: Path) -> None:
         encoding="utf-8"
     ):
         pose_network_or_skip()
-    out = tmp_path / "session"
+    monkeypatch.setenv("COLUMNS", "160")
     keep = ("--set", "recording.rolling=false")
-    done = kinegraph(
-        "run", str(config), "--simulate", "--for", "3", "-o", str(out), "--view", "none", *keep, cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    info = kinegraph("info", str(out)).stdout
+    code, _, complaint = kinegraph("run", config, "--simulate", "--for", "2", "-o", "session", "--view", "none", *keep)
+    assert code == 0, complaint
+    info = kinegraph("info", "session")[1]
     assert "simulated_sources" in info
-    rows = {line.split()[0]: line.split() for line in info.splitlines() if " input " in line}
+    rows = inputs_of(info)
     assert any(int(row[2]) > 0 for name, row in rows.items() if name != "annotations"), info
     if config.stem in IDENTIFIED:
         assert IDENTIFIED[config.stem] in info

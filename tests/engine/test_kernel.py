@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from kinegraph.stream.kernel import kernel
+from tests.support.tiers import rest_nightly
 
 HOUSE = Path(__file__).resolve().parents[2]
 RUN = """
@@ -56,7 +57,7 @@ def write(path: Path, text: str) -> None:
     path.write_text(textwrap.dedent(text))
 
 
-@pytest.mark.parametrize("packaged", [True, False], ids=["package", "loose files"])
+@pytest.mark.parametrize("packaged", rest_nightly(True, False))
 def test_an_edit_of_a_callee_in_another_file_is_seen(tmp_path: Path, packaged: bool) -> None:
     home, cache = tmp_path / "mine", tmp_path / "cache"
     place = home / "gains" if packaged else home

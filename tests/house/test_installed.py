@@ -135,6 +135,7 @@ def test_the_wheel_holds_the_service_file_of_the_bedside_too(site: Path) -> None
     assert there == shipped
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 def test_the_sdist_gives_the_same_wheel(site: Path, tmp_path: Path) -> None:
     """As `pip install` takes an sdist: built anew from it, file by file the wheel of the checkout; it is installed and runs."""
@@ -331,6 +332,7 @@ def interpreters() -> list[str]:
     return [str(p) for p in found if "shims" not in p.parts]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("newer", NEWER)
 def test_a_newer_python_compiles_the_source(newer: str) -> None:
     found = [path for path in interpreters() if f"python{newer}" in path or f"/{newer}." in path]

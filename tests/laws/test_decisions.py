@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def tolerance_s(graph: Graph, edge: Edge) -> float:
 
 
 TRIED: list[tuple[str, list[str], set[str]]] = [
-    ("treadmill_emg", ["treadmill.realtime=false", "treadmill.duration_s=30"], {"cycles", "review", "statistics"}),
+    ("treadmill_emg", ["treadmill.realtime=false", "treadmill.duration_s=15"], {"cycles", "review", "statistics"}),
     ("treadmill_both_legs", ["treadmill.realtime=false", "treadmill.duration_s=25", "treadmill.muscles=[TA, SO]"],
      {"feet", "cycles", "review", "stages", "statistics"}),
     ("overground_emg", ["lab.realtime=false"], {"feet", "cycles", "review", "statistics"}),
@@ -46,7 +47,7 @@ TRIED: list[tuple[str, list[str], set[str]]] = [
     ("segment_emg", ["board.realtime=false", "board.duration_s=60"], {"segment"}),
 ]  # fmt: skip
 """A shipped graph that is run to the end of its source, settings, nodes that give events."""
-LONG = {"bedside_simulated", "treadmill_both_legs"}
+LONG = {"bedside_simulated", "treadmill_both_legs", "overground_emg", "segment_emg", "segment_kinect"}
 """Graphs of these that run nightly."""
 ALIKE = {
     "bedside_sleep": "bedside_simulated",
@@ -61,6 +62,7 @@ ON_ITS_CASES = {"imu_steps", "shimmer_emg", "myoware"}
 SPOKEN = dict.fromkeys(("avatar", "avatar_oak"), "its prompts are of the sample that leads to them")
 
 
+@cache
 def eventful(config: str) -> set[type]:
     """The kinds of operators of a shipped graph that say when their events come."""
     graph = load(CONFIGS / f"{config}.yaml")

@@ -20,7 +20,7 @@ from kinegraph.stream.laws import Conformance, checks, trials
 from kinegraph.stream.operator import Operator
 from kinegraph.stream.outlet import Outlet
 
-EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 5
+EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 3
 
 
 def _found() -> tuple[dict[str, type[Operator[Any]]], dict[str, str]]:
@@ -32,7 +32,10 @@ def _found() -> tuple[dict[str, type[Operator[Any]]], dict[str, str]]:
 
 
 FOUND, FAILED = _found()
-each_operator = pytest.mark.parametrize("use", FOUND)
+each_operator = pytest.mark.parametrize(
+    "use", [pytest.param(use, marks=pytest.mark.xdist_group(use), id=use) for use in FOUND]
+)
+"""An operator's tests run in one process, which makes its cases and loads its kernels once."""
 
 
 @cache

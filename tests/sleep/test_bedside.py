@@ -130,6 +130,7 @@ def test_scores_from_frames_agree_with_those_of_the_true_movement() -> None:
     assert made.near >= 0.5 * made.still and made.known - made.near <= 0.05 * made.known
 
 
+@pytest.mark.nightly
 def test_what_is_seen_does_not_hang_on_the_frame_rate() -> None:
     """At 12 fps a limb moves less from frame to frame than the noise; and breath is seen."""
     made = night("bed_h: 0.5, seed: 1, fps: 12")
