@@ -59,8 +59,10 @@ function trouble(row: Row): HTMLElement {
 const recording = (row: Row | undefined): string =>
   row ? `recorded ${(Number(row["bytes"]) / 1e6).toFixed(1)} MB${row["error"] ? `, ${row["error"]}` : ""}` : "";
 
+/** The newest message is on top; one that comes again is shown once, with its last time and how often it came. */
 export class LogPanel extends Panel {
   private readonly lines = make("pre", { class: "log" });
+  private readonly shown = new Map<string, { line: HTMLElement; count: number }>();
 
   constructor(info: PanelInfo, page: Page) {
     super({ title: "log", ...info }, [], page);
@@ -70,9 +72,21 @@ export class LogPanel extends Panel {
   take(message: LogMessage): void {
     for (const { at, level, text } of message.lines) {
       const bad = level === "error" ? "bad" : level === "warning" ? "warn" : "";
-      this.lines.prepend(make("span", { class: bad }, `${new Date(at * 1000).toLocaleTimeString([], { hour12: false })} ${text}\n`));
+      const key = `${level} ${text}`;
+      const before = this.shown.get(key);
+      before?.line.remove();
+      this.shown.delete(key);
+      const count = (before?.count ?? 0) + 1;
+      const time = new Date(at * 1000).toLocaleTimeString([], { hour12: false });
+      const line = make("span", { class: bad }, `${time} ${text}${count > 1 ? ` (${count} times)` : ""}\n`);
+      this.shown.set(key, { line, count });
+      this.lines.prepend(line);
     }
-    while (this.lines.childElementCount > MOST_LINES) this.lines.lastElementChild?.remove();
+    for (const [key, { line }] of this.shown) {
+      if (this.shown.size <= MOST_LINES) break;
+      line.remove();
+      this.shown.delete(key);
+    }
   }
 
   protected override get waits(): boolean {
