@@ -163,7 +163,7 @@ def schema(cls: type[Any]) -> dict[str, Any]:
         entry, facts = entries[f.name], _facts(f)
         entry.pop("title", None)
         entry["description"] = facts.get("description", "")
-        _tell_bounds(entry, facts)
+        _add_bounds(entry, facts)
     return made
 
 
@@ -233,16 +233,16 @@ def _check_parts(name: str, given: Any, made: Any) -> None:
             _check_parts(f"{name}.{key}", item, made.get(key))
 
 
-def _tell_bounds(entry: Any, facts: Mapping[str, Any]) -> None:
+def _add_bounds(entry: Any, facts: Mapping[str, Any]) -> None:
     """Write the bounds into every place of a JSON Schema where a number may stand."""
     if isinstance(entry, dict):
         if entry.get("type") in ("number", "integer"):
             entry.update({key: facts[bound] for bound, (_, _, key) in BOUNDS.items() if bound in facts})
         for key in ("items", "additionalProperties"):
-            _tell_bounds(entry.get(key), facts)
+            _add_bounds(entry.get(key), facts)
         for key in ("anyOf", "prefixItems"):
             for inner in entry.get(key, ()):
-                _tell_bounds(inner, facts)
+                _add_bounds(inner, facts)
 
 
 WANTED = {

@@ -62,7 +62,7 @@ class BleSource(Source):
     def read(self, feed: Feed) -> None:
         with BleLink(feed, self.device, self.services, self.scan_s) as link:
             try:
-                self._tell_who(link, feed)
+                self._report_device(link, feed)
                 reading = self.greet(link, feed)
                 feed.ready()
                 with ClockLog(link.name, feed, lambda: reading.clock) as clock_log:
@@ -75,7 +75,7 @@ class BleSource(Source):
                 with suppress(DeviceError):
                     self.rest(link, feed)
 
-    def _tell_who(self, link: BleLink, feed: Feed) -> None:
+    def _report_device(self, link: BleLink, feed: Feed) -> None:
         facts: dict[str, str | float] = {
             key: text for key, c in FACTS.items() if link.offers(c) and (text := link.text(c))
         }

@@ -28,16 +28,16 @@ class ClockLog:
     def tell(self) -> None:
         """Tell offset, drift and uncertainty, if it is time and there is a clock."""
         if (now := time.monotonic()) >= self._due:
-            self._tell(now)
+            self._report(now)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         """The end is reported too: what has happened since the last second would never be."""
-        self._tell(time.monotonic())
+        self._report(time.monotonic())
 
-    def _tell(self, now: float) -> None:
+    def _report(self, now: float) -> None:
         self._due = now + EVERY_S
         if (state := self._state()) is None:
             return

@@ -107,7 +107,7 @@ class RateCheck:
         stood_ns, longest_ns = self._stands(arrival_ns)
         if stood_ns:
             if stood_ns > longest_ns:
-                self._tell_of_standing((passed - stood_ns) / NS, feed)
+                self._report_standstill((passed - stood_ns) / NS, feed)
                 self._begin()
             return None
         self._stood = False
@@ -125,7 +125,7 @@ class RateCheck:
             self._first, self._from = False, arrival_ns + PAUSE_NS
         if found is None:
             return None
-        return self._tell(found, text, grave, feed)
+        return self._report(found, text, grave, feed)
 
     def _stands(self, arrival_ns: int) -> tuple[int, int]:
         """For how long (ns) records have come with one time, after others (0: they do not); and for how long a time may stand."""
@@ -136,7 +136,7 @@ class RateCheck:
         usual = int(last[last != 0][-1])
         return (stood, max(STILL_NS, STILL_STEPS * usual)) if stood > 2 * usual else (0, 0)
 
-    def _tell_of_standing(self, after_s: float, feed: Feed) -> None:
+    def _report_standstill(self, after_s: float, feed: Feed) -> None:
         """Its stamps are the arrivals' from here on; at the start that is no way to begin. Raises DeclarationError."""
         text = f"its time stands still at {self._last} ns from {after_s:.1f} s on: has the device's clock stopped?"
         if self._first and self._policy == "fail" and not feed.again:
@@ -226,7 +226,7 @@ class RateCheck:
         """Whether the steps of the device's time are those of the declared rate: then its unit is right, too."""
         return self._rate is not None and abs(NS / usual / self._rate - 1) <= WRONG
 
-    def _tell(self, hz: float, text: str, at_start: bool, feed: Feed) -> float | None:
+    def _report(self, hz: float, text: str, at_start: bool, feed: Feed) -> float | None:
         if at_start and (self._policy == "fail" or (not hz and self._has_clock)):
             more = "; `rate_mismatch: warn` goes on by the true rate" if hz else ""
             raise DeclarationError(f"{self._device} is not as declared: {text}{more}")

@@ -90,7 +90,7 @@ def regular(time: Times, rate_hz: float | None) -> tuple[float, Times, Array] | 
     if measured is None:
         return None
     meant = snapped(measured)
-    rates = (measured, meant) if _tells_apart(time, measured, meant) else (meant, measured)
+    rates = (measured, meant) if _distinguishes(time, measured, meant) else (meant, measured)
     return next((found for rate in rates if (found := _on_grid(time, rate))), None)
 
 
@@ -99,7 +99,7 @@ def resolution(time: Times) -> int:
     return next((step for step in (10**6, 10**5, 10**4, 10**3) if not (time % step).any()), 1)
 
 
-def _tells_apart(time: Times, measured: float, meant: float) -> bool:
+def _distinguishes(time: Times, measured: float, meant: float) -> bool:
     """Whether stamps with few decimals are too exact, over their whole length, to be those of the rate that was meant."""
     step = resolution(time)
     off = len(time) * abs(meant - measured) / measured

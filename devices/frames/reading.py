@@ -154,7 +154,7 @@ class FrameReading:
             missing = packets[kind].missing
             self._check_rate(kind, table, packets[kind], missing, arrival, feed)
             self._emit(kind, table, packets[kind], missing, feed)
-        self._tell_timing(packets, arrival, feed)
+        self._report_timing(packets, arrival, feed)
 
     def _check_rate(self, kind: int, table: Array, packets: Packets, missing: int, arrival: int, feed: Feed) -> None:
         layout = self._layouts[kind]
@@ -191,7 +191,7 @@ class FrameReading:
         lost[:, 0] = np.where(packets.lost > 0, packets.lost * n, packets.lost)
         return np.maximum(stamp, before[:, None]).ravel(), lost.ravel()
 
-    def _tell_timing(self, packets: dict[int, Packets], arrival: int, feed: Feed) -> None:
+    def _report_timing(self, packets: dict[int, Packets], arrival: int, feed: Feed) -> None:
         """All kinds of frame in one stream, in the order of their stamps."""
         events = np.empty(sum(len(p.stamp) for p in packets.values()), TIMING)
         if not len(events):

@@ -146,7 +146,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
             if history.of == port and len(chunk):
                 for key, text in history.chosen(chunk, runtime.specs[port], self.state.session):
                     runtime.messages.post(self._topics.history(port), key, text)
-        self._tell_report()
+        self._publish_report()
         if chunk.until >= runtime.live_from:
             runtime.messages.flush()
 
@@ -155,7 +155,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
         link = runtime.link
         if link is None or runtime.messages is None:
             return
-        self._tell_report(now=True)
+        self._publish_report(now=True)
         runtime.messages.flush()
         self._wait_for_the_last(link, runtime.messages)
         runtime.link = None
@@ -177,7 +177,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
     def snapshot(self) -> dict[str, Array]:
         return pack(self.runtime.messages.keep() if self.runtime.messages else self.state)
 
-    def _tell_report(self, *, now: bool = False) -> None:
+    def _publish_report(self, *, now: bool = False) -> None:
         """Announce a new report."""
         runtime = self.runtime
         for topic, text in runtime.reports.look(now=now) if runtime.reports else ():

@@ -218,9 +218,9 @@ class RunningScene:
         camera = self._camera
         if camera.out() != self._gone:
             self._gone = not self._gone
-            self._tell("DISCONNECTED" if self._gone else "RUNNING")
+            self._report_state("DISCONNECTED" if self._gone else "RUNNING")
             if self._gone:
-                self._tell("RECONNECTING")
+                self._report_state("RECONNECTING")
             self._begin()
         if self._gone:
             return
@@ -235,7 +235,7 @@ class RunningScene:
         if camera.of.imu_hz:
             self._send_motion(node, seconds)
 
-    def _tell(self, state: str) -> None:
+    def _report_state(self, state: str) -> None:
         self._link.tell(None, self._dai.DeviceState.__members__[state])
 
     def _due(self, seconds: float) -> list[bytes]:

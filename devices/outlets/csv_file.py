@@ -12,7 +12,7 @@ import numpy as np
 from filelock import FileLock
 
 from kinegraph.devices.outlets.append_file import AppendFile
-from kinegraph.devices.outlets.output_lock import check_path, claim, free_name, let_go
+from kinegraph.devices.outlets.output_lock import check_path, free_name, lock_output, unlock_output
 from kinegraph.stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times, add_lost
 from kinegraph.stream.data.csv_writer import Sheet, row_of
 from kinegraph.stream.data.state import pack
@@ -37,12 +37,12 @@ class CsvState:
 
 
 class CsvRuntime:
-    """What belongs to a running outlet but not to its state: the spec, the open file, the claim on its name."""
+    """What belongs to a running outlet but not to its state: the spec, the open file, the lock on its name."""
 
     def __init__(self, spec: StreamSpec) -> None:
         self.spec = spec
         self.file: AppendFile | None = None
-        self.claim: FileLock | None = None
+        self.lock: FileLock | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +84,11 @@ class CsvFile(Outlet[CsvState, CsvRuntime]):
 
     def begin(self) -> None:
         runtime = self.runtime
-        runtime.claim = claim(Path(self.path).absolute())
+        runtime.lock = lock_output(Path(self.path).absolute())
         try:
             runtime.file = self._begin(self.state)
         except BaseException:
-            let_go(runtime.claim)
+            unlock_output(runtime.lock)
             raise
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -110,8 +110,8 @@ class CsvFile(Outlet[CsvState, CsvRuntime]):
                 runtime.file.close()
         finally:
             runtime.file = None
-            if runtime.claim is not None:
-                let_go(runtime.claim)
+            if runtime.lock is not None:
+                unlock_output(runtime.lock)
 
     def snapshot(self) -> dict[str, Array]:
         if self.runtime.file is not None:

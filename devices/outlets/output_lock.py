@@ -11,8 +11,8 @@ from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.system.atomic_file import private_folder
 
 
-def claim(path: Path) -> FileLock:
-    """Hold `.<name>.lock` beside an output until `let_go`; the system lets go of it when the process dies, however it dies.
+def lock_output(path: Path) -> FileLock:
+    """Hold `.<name>.lock` beside an output until `unlock_output`; the system releases it when the process dies.
 
     Makes the folder. Raises DeviceError if another session writes to `path`, or its folder cannot be written.
     """
@@ -29,8 +29,8 @@ def claim(path: Path) -> FileLock:
     return held
 
 
-def let_go(held: FileLock) -> None:
-    """End a claim; its file is removed first, while it is still held, so that no other session's is."""
+def unlock_output(held: FileLock) -> None:
+    """Release an output. The lock's file is removed first, while it is held, so that no other session's file is removed."""
     Path(held.lock_file).unlink(missing_ok=True)
     held.release()
 

@@ -168,7 +168,7 @@ class _Night:
                 feed.emit(empty(self._depth, until), "depth")
             lost += len(seconds) - len(there)
             while (epoch + 1) * EPOCH_S <= seconds[-1]:
-                self._tell(epoch, until)
+                self._emit(epoch, until)
                 epoch += 1
             feed.emit(empty(self._truth, until), "truth")
 
@@ -185,7 +185,7 @@ class _Night:
         self._held = seconds, frame
         return frame
 
-    def _tell(self, epoch: int, stamp: int) -> None:
+    def _emit(self, epoch: int, stamp: int) -> None:
         rows = []
         begin, end = epoch * EPOCH_S, (epoch + 1) * EPOCH_S
         for k, night in enumerate(self._room.plans):

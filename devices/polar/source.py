@@ -162,7 +162,7 @@ class PolarReading:
         stamp = stream.go_on(frame, note.arrival)
         if stamp is not None:
             feed.emit(Chunk(stamp, frame.data, int(stamp[-1])), self._outputs[frame.kind])
-            self._tell_timing(stream, frame, note.arrival, stamp, feed)
+            self._report_timing(stream, frame, note.arrival, stamp, feed)
             return
         packets = stream.take(frame, note.arrival)
         missing = int(packets.lost.clip(0).sum())
@@ -174,9 +174,9 @@ class PolarReading:
             return
         for chunk in chunks(packets.stamp, packets.lost, frame.data[packets.kept]):
             feed.emit(chunk, self._outputs[frame.kind])
-        self._tell_timing(stream, frame, note.arrival, packets.stamp, feed)
+        self._report_timing(stream, frame, note.arrival, packets.stamp, feed)
 
-    def _tell_timing(self, stream: PmdStream, frame: PmdFrame, arrival: int, stamp: Times, feed: Feed) -> None:
+    def _report_timing(self, stream: PmdStream, frame: PmdFrame, arrival: int, stamp: Times, feed: Feed) -> None:
         self._told = max(self._told, int(stamp[-1]))
         feed.emit(timing_chunk(stream.frames, frame.last_ns, arrival, np.array([self._told])), "timing")
 

@@ -215,7 +215,7 @@ class ShimmerReading:
             feed, bytes_that_are_no_packet=found.dropped, resync=found.resyncs, repeated_packet=found.repeated
         )
         for level in found.battery:
-            self._tell_battery(protocol.battery_v(level), feed)
+            self._report_battery(protocol.battery_v(level), feed)
         if len(found):
             self._emit(found, feed)
         if time.monotonic() - self._asked > BATTERY_S:
@@ -251,7 +251,7 @@ class ShimmerReading:
     def _measured(self, found: protocol.ShimmerPackets) -> Samples | None:
         return protocol.columns(found, self._channels, self._exg) * self._uv if self._exg else None
 
-    def _tell_battery(self, volts: float, feed: Feed) -> None:
+    def _report_battery(self, volts: float, feed: Feed) -> None:
         tell = log.warning if volts < LOW_BATTERY_V else log.info
         tell("battery", port=self._port, battery_v=round(volts, 2))
         if volts < LOW_BATTERY_V:

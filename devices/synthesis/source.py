@@ -131,7 +131,7 @@ class Synthesis(Source):
         walker = GraphWalk(graph, aims, np.array(self.forbidden).reshape(-1, 3), self.seed)
         begun, last = feed.now(), round(self.duration_s * graph.rate_hz)
         nearest_m, since, trespasses = np.inf, 0, 0
-        self._tell(feed, walker, begun)
+        self._emit(feed, walker, begun)
         for frame in range(last) if last else count():
             stamp = begun + round(frame * NS / graph.rate_hz)
             word = self._pause(feed, stamp)
@@ -142,7 +142,7 @@ class Synthesis(Source):
             entered = walker.step()
             feed.emit(Chunk(np.array([stamp]), walker.pose[None].copy(), stamp), "pose")
             if entered:
-                self._tell(feed, walker, stamp + 1)
+                self._emit(feed, walker, stamp + 1)
             if walker.trespassed > trespasses:
                 trespasses = walker.trespassed
                 feed.problem("frames in a forbidden area")
@@ -182,7 +182,7 @@ class Synthesis(Source):
             return False
         return True
 
-    def _tell(self, feed: Feed, walker: GraphWalk, stamp: int) -> None:
+    def _emit(self, feed: Feed, walker: GraphWalk, stamp: int) -> None:
         graph, node = walker.graph, walker.node
         event = (stamp, node, graph.name_of(node), graph.mirrored[node], walker.pose[0], walker.pose[2])
         feed.emit(Chunk(np.array([stamp]), np.array([event], NODE), stamp), "node")

@@ -127,14 +127,14 @@ class TrignoModel:
             case ["SENSOR", number, "CHANNEL", _, "RATE?"] if number.isdigit():
                 return f"{EMG_HZ:g}"
             case ["SENSOR", number, what] if number.isdigit() and 1 <= int(number) <= SENSORS:
-                return self._tell(int(number), what)
+                return self._answer(int(number), what)
             case ["ENDIAN", "LITTLE"] | ["TRIGGER", _, _] | ["UPSAMPLE", _] | ["BACKWARDS", "COMPATIBILITY", _]:
                 pass
             case _:
                 return "INVALID COMMAND"
         return "OK"
 
-    def _tell(self, sensor: int, what: str) -> str:
+    def _answer(self, sensor: int, what: str) -> str:
         known = {
             "PAIRED?": "YES" if sensor <= self._paired else "NO",
             "SERIAL?": f"SP-W02A-{1000 + sensor}",

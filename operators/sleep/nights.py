@@ -165,7 +165,7 @@ class Nights(Operator[NightsState]):
             if s.onset != NEVER and s.by == "lights" and s.lit == NEVER:
                 s.lit = stamp
                 if not self.rejoin_min:
-                    self._tell_by_lights(made)
+                    self._emit_by_lights(made)
 
     def _pass(self, until: int, made: Rows) -> None:
         """End the night if it is due."""
@@ -174,30 +174,30 @@ class Nights(Operator[NightsState]):
             return
         if s.lit != NEVER:  # which is decided first, whatever else has become due meanwhile
             if until >= s.lit + round(self.rejoin_min * 60 * NS):
-                self._tell_by_lights(made)
+                self._emit_by_lights(made)
             return
         away = s.gone + round(self.apart_h * HOUR) if s.left != NEVER else FOREVER
         latest = s.begun + round(self.longest_h * HOUR)
         if until >= min(away, latest):
             s.by = ""
-            self._tell(min(away, latest), s.left if s.left != NEVER else latest, made)
+            self._emit(min(away, latest), s.left if s.left != NEVER else latest, made)
 
     def _end(self, made: Rows) -> None:
         """Nothing follows: whoever has left the bed does not come back. A night with somebody in bed has no end."""
         s = self.state
         if s.onset != NEVER and s.lit != NEVER:
-            self._tell_by_lights(made)
+            self._emit_by_lights(made)
         elif s.onset != NEVER and s.left != NEVER:
             s.by = ""
-            self._tell(s.gone + round(self.apart_h * HOUR), s.left, made)
+            self._emit(s.gone + round(self.apart_h * HOUR), s.left, made)
 
-    def _tell_by_lights(self, made: Rows) -> None:
+    def _emit_by_lights(self, made: Rows) -> None:
         """The lights stayed on: with them the night was over."""
         s = self.state
         s.done = s.state == "in"
-        self._tell(s.lit + round(self.rejoin_min * 60 * NS), s.lit, made)
+        self._emit(s.lit + round(self.rejoin_min * 60 * NS), s.lit, made)
 
-    def _tell(self, stamp: int, end: int, made: Rows) -> None:
+    def _emit(self, stamp: int, end: int, made: Rows) -> None:
         s = self.state
         if end - s.onset >= self.shortest_h * HOUR:
             minutes = (end - s.onset) / (60 * NS)

@@ -29,11 +29,11 @@ class Pace:
         self._anchor: tuple[float, float] | None = None
         self._stopped = False
         self._changed = Condition()
-        self._tell: Callable[[float, float], None] = lambda at, speed: None
+        self._announce: Callable[[float, float], None] = lambda at, speed: None
 
     def report_to(self, tell: Callable[[float, float], None]) -> None:
         """Tell `tell` how far the replay is and its speed, some ten times a second."""
-        self._tell = tell
+        self._announce = tell
 
     # from any thread -------------------------------------------------------------------------------------------------
 
@@ -100,4 +100,4 @@ class Pace:
         now = time.monotonic()
         if now - self._told_at >= TOLD_EVERY_S:
             self._told_at = now
-            self._tell(self.at, self.speed)
+            self._announce(self.at, self.speed)

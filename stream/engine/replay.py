@@ -224,7 +224,7 @@ class Replay:
                 recorder.write(numbers[stream], chunk, arrival, sequence)
             send(chunk, perf_counter_ns())
             if self.view and time.monotonic() >= self._due:
-                self._tell(self.view)
+                self._report(self.view)
             if not count % FOLD_EVERY:
                 self.pipeline.fold()
                 result.seconds = (arrival - first) / NS
@@ -233,7 +233,7 @@ class Replay:
             result.seconds = self.recording.duration_ns / NS
             progress(result.seconds)
 
-    def _tell(self, view: SessionView) -> None:
+    def _report(self, view: SessionView) -> None:
         self._due, self._table = time.monotonic() + TOLD_S, table_of_replay(self.pipeline, self._rates)
         view.update(self._table)
 

@@ -231,7 +231,7 @@ class SessionLog:
         if kind in LOSSES:
             with self._losing:  # what a source's queue drops is reported on its own thread
                 self._losses.setdefault((kind, facts.get("stream") or facts["queue"]), Loss()).add(facts)
-            self._tell_losses(monotonic())
+            self._report_losses(monotonic())
         else:
             tell = log.error if "failed" in kind else log.info if kind in QUIET else log.warning
             tell(kind, **facts)
@@ -242,7 +242,7 @@ class SessionLog:
             with suppress(OSError, ValueError):  # there may be no terminal any more
                 self.report("asked to end", by=by)
 
-    def _tell_losses(self, now: float) -> None:
+    def _report_losses(self, now: float) -> None:
         with self._losing:
             due = [
                 (kind, loss.summary(now)) for (kind, _), loss in self._losses.items() if loss.times and now >= loss.next
@@ -251,7 +251,7 @@ class SessionLog:
             log.warning(kind, **facts)
 
     def metrics(self, table: dict[str, Any]) -> None:
-        self._tell_losses(monotonic())
+        self._report_losses(monotonic())
         if self.recorder:
             self.recorder.metrics(self._clock.now(), table)
 
@@ -283,7 +283,7 @@ class SessionLog:
 
     def close(self, *, well: bool) -> None:
         """End the recording. After a session that ended `well` there is nothing to resume."""
-        self._tell_losses(FOREVER)
+        self._report_losses(FOREVER)
         if self._checkpoints:
             self._checkpoints.wait()
         if self.recorder:

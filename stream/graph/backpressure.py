@@ -42,7 +42,7 @@ def max_bytes(policy: Policy, *, live: bool) -> int:
     return LIVE_BYTES if live else OTHER_BYTES
 
 
-def held_bytes(chunks: int, chunk_bytes: int, bound: int) -> int:
+def queued_bytes(chunks: int, chunk_bytes: int, bound: int) -> int:
     """The most that a queue for this number of chunks, each of this size, can hold with a bound by `max_bytes`."""
     return chunks * chunk_bytes if not bound else min(chunks * chunk_bytes, max(bound, LEAST_CHUNKS * chunk_bytes))
 

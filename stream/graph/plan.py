@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from kinegraph.stream.chunk import StreamSpec
 from kinegraph.stream.errors import GraphError, blaming
 from kinegraph.stream.graph import Edge, Graph, Node, is_live, policy_of
-from kinegraph.stream.graph.backpressure import held_bytes, max_bytes
+from kinegraph.stream.graph.backpressure import max_bytes, queued_bytes
 from kinegraph.stream.operator import Operator, input_of
 from kinegraph.stream.source import Source
 from kinegraph.stream.system.memory_limit import ceiling
@@ -180,13 +180,13 @@ def _step(graph: Graph, node: Node) -> Step:
         with blaming(node.name, "live"):
             bound = max_bytes(policy_of(node, live=part.live), live=part.live)
         chunks = [_chunk_bytes(spec, chunk_s) for spec in node.specs.values()]
-        return Step(node.name, chunk_s, sum(held_bytes(node.options.queue, size, bound) for size in chunks))
+        return Step(node.name, chunk_s, sum(queued_bytes(node.options.queue, size, bound) for size in chunks))
     held = node.declared.memory_bytes
     if node.options.worker or node.is_outlet:
         waiting = [_chunk_bytes(spec, 0.0) for spec in graph.input_specs(node).values()]
         live = is_live(graph)
         bound = max_bytes(policy_of(node, live=live), live=live)
-        held += sum(held_bytes(node.options.queue, size, bound) for size in waiting)
+        held += sum(queued_bytes(node.options.queue, size, bound) for size in waiting)
     return Step(node.name, node.declared.delay_s, held)
 
 

@@ -14,7 +14,14 @@ from kinegraph.stream.data.series import Series as Series
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.graph import RecordingOptions
 from kinegraph.stream.recording import Recorder
-from kinegraph.stream.recording.format.paths import claim, discard, draft_of, give_back, parts_of, publish
+from kinegraph.stream.recording.format.paths import (
+    discard,
+    draft_of,
+    lock_recording,
+    parts_of,
+    publish,
+    unlock_recording,
+)
 
 
 def write_recording(
@@ -36,7 +43,7 @@ def write_recording(
         raise RecordingError("there are no samples to record")
     if parts_of(path) and not overwrite:
         raise RecordingError(f"{path}: already holds a recording; choose another --out, or replace it with --overwrite")
-    held, _ = claim(path, taken=overwrite)
+    held, _ = lock_recording(path, taken=overwrite)
     draft = draft_of(path)
     try:
         discard(draft)  # of an import that was killed
@@ -46,7 +53,7 @@ def write_recording(
         raise RecordingError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:
         discard(draft)
-        give_back(path, held)
+        unlock_recording(path, held)
 
 
 def _write(

@@ -8,7 +8,7 @@ from kinegraph.stream.engine.session import Session
 from kinegraph.stream.engine.shortfall import reader_of
 from kinegraph.stream.errors import GraphError
 from kinegraph.stream.graph import Graph, policy_of
-from kinegraph.stream.graph.backpressure import held_bytes
+from kinegraph.stream.graph.backpressure import queued_bytes
 from kinegraph.stream.graph.plan import plan
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.text.time_text import delay
@@ -101,7 +101,7 @@ nodes:
     for name, queue in queues.items():
         node = reader_of(name) or name
         held = loaded.nodes[node].declared.memory_bytes
-        assert steps[node] - held == held_bytes(queue.limit, chunk, queue.bound) or node == "board", node
+        assert steps[node] - held == queued_bytes(queue.limit, chunk, queue.bound) or node == "board", node
         assert queue.policy == policy_of(loaded.nodes[node], live=live == "true")
 
 

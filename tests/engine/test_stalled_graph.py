@@ -17,7 +17,7 @@ from kinegraph.stream.engine.flow.queues import BoundedQueue
 from kinegraph.stream.engine.ingress import Ingress
 from kinegraph.stream.engine.session import Session
 from kinegraph.stream.engine.supervisor import not_inline
-from kinegraph.stream.graph.backpressure import LEAST_CHUNKS, LIVE_BYTES, OTHER_BYTES, Policy, held_bytes, max_bytes
+from kinegraph.stream.graph.backpressure import LEAST_CHUNKS, LIVE_BYTES, OTHER_BYTES, Policy, max_bytes, queued_bytes
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.operator import Emitted
 from kinegraph.stream.params import param
@@ -104,7 +104,7 @@ def test_images_wait_by_their_bytes_where_waiting_loses_nothing(
     writer.join()
     assert taken == list(range(100 if policy == "block" else 0))
     assert queue.depth == (0 if policy == "block" else waits)
-    assert held_bytes(90, size, max_bytes(policy, live=live)) == waits * size
+    assert queued_bytes(90, size, max_bytes(policy, live=live)) == waits * size
 
 
 def test_what_a_queue_dropped_no_longer_counts() -> None:

@@ -53,7 +53,7 @@ def test_the_curves_that_a_report_wrote_are_bands(tmp_path: Path) -> None:
         (HEAD + "TA,101,1,2\n", "line 2: needs a muscle, 0 to 100 %"),
         (HEAD + "TA,0,nan,2\n", "finite"),
         (HEAD + "TA,0,3,2\n", "band of TA has a low above its high"),
-        (HEAD, "holds no muscle"),
+        (HEAD, "no muscles in it"),
     ],
 )
 def test_what_is_wrong_in_a_table_is_named_by_line(text: str, message: str, tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def test_resume_neither_doubles_nor_misses_rows(tmp_path: Path) -> None:
     first.process("in", chunk(10, 7))
     with path.open("ab") as file:
         file.write(b"2026-01-01T00:00:00.0170")  # half a row, as a crash may leave it
-    first.runtime.claim.release()  # type: ignore[union-attr]  # what the system does when the process dies
+    first.runtime.lock.release()  # type: ignore[union-attr]  # what the system does when the process dies
     again = opened(path)
     again.restore(checkpoint)
     again.begin()

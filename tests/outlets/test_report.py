@@ -209,7 +209,7 @@ def test_resumed_at_any_place_the_files_are_the_same(tmp_path: Path) -> None:
     walk.feed(first, 0, 5, tuple(SPECS))
     checkpoint = first.snapshot()
     walk.feed(first, 5, 8, tuple(SPECS))
-    first.runtime.claim.release()  # type: ignore[union-attr]  # as when the process dies
+    first.runtime.lock.release()  # type: ignore[union-attr]  # as when the process dies
     again = opened(tmp_path / "s.html")
     again.restore(checkpoint)
     again.begin()

@@ -35,7 +35,7 @@ def test_nothing_is_lost_or_doubled_by_kill_9(tmp_path: Path, at: int) -> None:
     with (folder / archive.EPOCHS).open("a") as file:
         file.write("2026-01-01T0")
     os.close(log.runtime.writer.night.file._handle)
-    log.runtime.claim.release()  # type: ignore[union-attr]
+    log.runtime.lock.release()  # type: ignore[union-attr]
 
     again = opened(tmp_path, report=False)
     again.restore(checkpoint)

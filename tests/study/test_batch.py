@@ -27,7 +27,7 @@ from kinegraph.stream.batch.jobs import Job, jobs, read_grid
 from kinegraph.stream.batch.manifest import JOBS, JobEntry, Manifest
 from kinegraph.stream.batch.study import BatchState, memory_of, number_of_workers
 from kinegraph.stream.batch.work import Common, do
-from kinegraph.stream.cli.commands.batch import _shown, _tell
+from kinegraph.stream.cli.commands.batch import _report, _shown
 from kinegraph.stream.errors import GraphError, KinegraphError
 from kinegraph.stream.recording.series import write_recording
 from kinegraph.stream.system.memory_limit import ceiling
@@ -268,7 +268,7 @@ def test_what_is_printed_to_a_pipe_is_the_summary_alone(capsys: pytest.CaptureFi
         )
     with _shown(13, quiet=False) as progress:
         progress(tally)
-    _tell(tally, Path("out"))
+    _report(tally, Path("out"))
     output = capsys.readouterr()
     assert output.out == "1 jobs done, 0 unchanged, 12 failed; 117 s replayed; results in out\n"
     assert output.err.splitlines()[0] == "  s0 with a.b=1: why" and "and 2 more, in out/failed.parquet" in output.err

@@ -55,12 +55,12 @@ class Alarms(Outlet[AlarmsState]):
             since_s = (stamp - int(row["onset"])) / NS
             if row["state"] == "on":
                 log.warning("alarm", who=subject, what=what, do=advice, at=utc(stamp))
-                self._tell(port, subject, what, advice, f"ALARM {subject}: {what}. {advice}")
+                self._show(port, subject, what, advice, f"ALARM {subject}: {what}. {advice}")
             else:
                 log.info("alarm is over", who=subject, what=what, at=utc(stamp))
-                self._tell(port, subject, "", "", f"over: {subject}: {what} ({since_s:.0f} s)")
+                self._show(port, subject, "", "", f"over: {subject}: {what} ({since_s:.0f} s)")
 
-    def _tell(self, port: str, subject: str, what: str, advice: str, line: str) -> None:
+    def _show(self, port: str, subject: str, what: str, advice: str, line: str) -> None:
         s = self.state
         kept = [
             k for k, shown_name in enumerate(zip(s.ports, s.subjects, strict=True)) if shown_name != (port, subject)

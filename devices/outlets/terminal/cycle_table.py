@@ -97,11 +97,11 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
         state = self.state
         if port == "stages":
             for row in chunk.data:
-                _tell_stage(row)
+                _print_stage(row)
         elif port in NOTES:
             state.notes.add(port, chunk.data)
             if port in ("targets", "norms") and len(chunk):
-                _tell(port, chunk.data)
+                _print_rows(port, chunk.data)
         elif port == "closed":
             for i in range(len(chunk)):
                 event = chunk.data[i : i + 1]
@@ -138,7 +138,7 @@ def _beside(state: CycleTableState, rows: Array, spec: StreamSpec) -> Array:
     return both[np.lexsort((both["name"], np.array(places)))]
 
 
-def _tell_stage(row: Any) -> None:
+def _print_stage(row: Any) -> None:
     """A stage has begun, or the last one has ended."""
     speed = f" at {row['speed_m_s']:.2f} m/s" if np.isfinite(row["speed_m_s"]) else ""
     before = f" ({row['cycles']} good cycles before it)" if row["number"] > 1 else ""
@@ -153,7 +153,7 @@ def _tell_stage(row: Any) -> None:
         TerminalView.current.hang_out("stage", line, line)
 
 
-def _tell(port: str, rows: Array) -> None:
+def _print_rows(port: str, rows: Array) -> None:
     """How the last cycle stands to each target, or norm."""
     kind = port.removesuffix("s")
     lines = [

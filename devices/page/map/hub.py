@@ -111,7 +111,7 @@ class MapHub:
                 self._hear(msgspec.json.decode(line))
             self._failed = True
             log.error("the process that answers queries has ended; poses can be looked at, nothing can be asked")
-            self._tell_all(self._state())
+            self._send_all(self._state())
         finally:
             process.stdin.close()
             with suppress(TimeoutError):
@@ -122,7 +122,7 @@ class MapHub:
     def _hear(self, facts: dict[str, object]) -> None:
         if facts["query"] == READY:
             self._answers = True
-            self._tell_all(self._state())
+            self._send_all(self._state())
             return
         known = self._asked.pop(int(str(facts["query"])), None)
         if known:
@@ -131,7 +131,7 @@ class MapHub:
             what = {"first": asked.first, "last": asked.last}
             client.give(encode({"t": "near", **what, "ms": round(ms, 2), "found": facts["found"]}))
 
-    def _tell_all(self, message: bytes) -> None:
+    def _send_all(self, message: bytes) -> None:
         for client in self.clients:
             assert isinstance(client, MapVisitor)
             client.give(message)

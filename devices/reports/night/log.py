@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import structlog
 
-from kinegraph.devices.outlets.output_lock import check_path, claim, let_go
+from kinegraph.devices.outlets.output_lock import check_path, lock_output, unlock_output
 from kinegraph.devices.reports.night import archive, rows
 from kinegraph.devices.reports.night.archive import Facts, clock
 from kinegraph.devices.reports.night.log_state import LogState
@@ -99,7 +99,7 @@ class NightLog(Outlet[LogState, LogRuntime]):
         """Go on with the night that was broken off, if there is one."""
         runtime, root = self.runtime, Path(self.path).absolute()
         runtime.held = {int(onset): facts for onset, facts in json.loads(self.state.held).items()}
-        runtime.claim = claim(root / (f"night-{self.sleeper}" if self.sleeper else "night"))
+        runtime.lock = lock_output(root / (f"night-{self.sleeper}" if self.sleeper else "night"))
         runtime.zone = archive.zone_of(self.timezone)
         self.state.run = self.state.run or uuid.uuid4().hex
         runtime.writer = NightWriter(
@@ -124,8 +124,8 @@ class NightLog(Outlet[LogState, LogRuntime]):
             if runtime.writer:
                 runtime.writer.close()
         finally:
-            if runtime.claim:
-                let_go(runtime.claim)
+            if runtime.lock:
+                unlock_output(runtime.lock)
 
     def snapshot(self) -> dict[str, Array]:
         self.state.held = json.dumps(self.runtime.held)

@@ -18,7 +18,7 @@ class LogRuntime:
     def __init__(self, specs: Specs) -> None:
         self.specs = specs
         self.graph: Graph | None = None
-        self.claim: FileLock | None = None
+        self.lock: FileLock | None = None
         self.zone: tzinfo | None = None
         self.writer: NightWriter | None = None
         self.now = NEVER

@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 from filelock import FileLock
 
 from kinegraph.devices.outlets.append_file import AppendFile
-from kinegraph.devices.outlets.output_lock import check_path, claim, let_go
+from kinegraph.devices.outlets.output_lock import check_path, lock_output, unlock_output
 from kinegraph.devices.reports.session.compose import compose
 from kinegraph.devices.reports.session.contents.data import Curves, Report
 from kinegraph.devices.reports.session.contents.labels import relative_to
@@ -60,7 +60,7 @@ class ReportRuntime:
         self.about = About(relative_to(specs["cycles"].meta))
         self.graph: Graph | None = None
         self.table: AppendFile | None = None
-        self.claim: FileLock | None = None
+        self.lock: FileLock | None = None
         self.drawing = PageDrawing()
         self.next_interim = 0.0
 
@@ -139,7 +139,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
     def begin(self) -> None:
         runtime, state = self.runtime, self.state
         page = page_of(self.path, runtime.graph, self._node)
-        runtime.claim = claim(page)
+        runtime.lock = lock_output(page)
         try:
             fresh = not state.stem
             if fresh:
@@ -148,7 +148,7 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
             if not runtime.table.offset and not runtime.table.pending:
                 runtime.table.write(header(runtime.specs))
         except BaseException:
-            let_go(runtime.claim)
+            unlock_output(runtime.lock)
             raise
         runtime.next_interim = time.monotonic() + min(FIRST_INTERIM_S, self.interim_s)
 
@@ -182,8 +182,8 @@ class SessionReport(Outlet[ReportState, ReportRuntime]):
                     state.tally.typed.write(written["remarks"], state.tally.started, runtime.about.recording)
                 for kind in dict.fromkeys(self.tables):
                     write_tables(Path(f"{state.stem}.{kind}"), written)
-            if runtime.claim:
-                let_go(runtime.claim)
+            if runtime.lock:
+                unlock_output(runtime.lock)
 
     def snapshot(self) -> dict[str, Array]:
         if self.runtime.table:

@@ -12,7 +12,7 @@ import structlog
 from filelock import FileLock
 
 from kinegraph.devices.outlets.append_file import AppendFile
-from kinegraph.devices.outlets.output_lock import check_path, claim, let_go
+from kinegraph.devices.outlets.output_lock import check_path, lock_output, unlock_output
 from kinegraph.devices.reports.training.page import render
 from kinegraph.devices.reports.training.rows import REPETITION, REST, SET, Training, nothing_done, take
 from kinegraph.stream.chunk import NEVER, NS, Array, Chunk, Specs
@@ -56,7 +56,7 @@ class TrainingRuntime:
         self.unit = unit
         self.facts: dict[str, Any] = {}
         self.table: AppendFile | None = None
-        self.claim: FileLock | None = None
+        self.lock: FileLock | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
 
     def begin(self) -> None:
         runtime, state = self.runtime, self.state
-        runtime.claim = claim(Path(self.path).absolute())
+        runtime.lock = lock_output(Path(self.path).absolute())
         try:
             fresh = not state.stem
             if fresh:
@@ -113,7 +113,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
             if not runtime.table.offset and not runtime.table.pending:
                 runtime.table.write(_lines([HEADER]))
         except BaseException:
-            let_go(runtime.claim)
+            unlock_output(runtime.lock)
             raise
 
     def process(self, port: str, chunk: Chunk) -> None:
@@ -144,8 +144,8 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
             if runtime.table:
                 table, runtime.table = runtime.table, None
                 table.close()
-            if runtime.claim:
-                let_go(runtime.claim)
+            if runtime.lock:
+                unlock_output(runtime.lock)
 
     def snapshot(self) -> dict[str, Array]:
         table, state = self.runtime.table, self.state

@@ -48,7 +48,7 @@ def read_bands(path: Path, sds: float) -> tuple[str, dict[str, Samples]]:
             _take(points, row, (names.index("muscle"), *columns), f"{path}: line {number}")
     bands = {muscle: _band(known, sds if pair == ("mean", "sd") else 0.0) for muscle, known in points.items()}
     if not bands:
-        raise NormError(f"{path}: holds no muscle")
+        raise NormError(f"{path}: there are no muscles in it")
     wrong = next((muscle for muscle, (low, high) in bands.items() if not (low <= high).all()), "")
     if wrong:
         raise NormError(f"{path}: the band of {wrong} has a low above its high")

@@ -73,7 +73,7 @@ def batch(
         done = {"done": tally.made["done"] + tally.made["incomplete"], "unchanged": tally.kept, "failed": failed}
         print_json({**done, "seconds": tally.seconds, "left_out": tally.left_out, "folder": out})
     else:
-        _tell(tally, out)
+        _report(tally, out)
     if tally.failed:
         sys.exit(1)
     if tally.incomplete:
@@ -94,7 +94,7 @@ class SomeIncomplete(KinegraphError):
         )
 
 
-def _tell(tally: BatchState, out: Path) -> None:
+def _report(tally: BatchState, out: Path) -> None:
     done = tally.made["done"] + tally.made["incomplete"]
     say(
         f"{done} jobs done, {tally.kept} unchanged, {len(tally.failed)} failed; {tally.seconds:.0f} s replayed; results in {out}"

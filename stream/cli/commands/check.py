@@ -45,7 +45,7 @@ def check(
 
         with Recording.open(recording) as opened:
             recorded = {name: stream.spec for name, stream in opened.streams.items()}
-    _tell_beside(config)
+    _report_local_modules(config)
     graph = load(config, recorded=recorded, overrides=overrides.read(settings or ()), trusted_only=trusted_only)
     planned = plan(graph, enforce=False)
     if as_json:
@@ -92,7 +92,7 @@ def _facts(graph: Graph, planned: Plan) -> dict[str, Any]:
     }
 
 
-def _tell_beside(config: File) -> None:
+def _report_local_modules(config: File) -> None:
     """Say, before it is done, which files beside the graph are run because it names them."""
     try:
         nodes = read_expanded(config).items()["nodes"].items().values()

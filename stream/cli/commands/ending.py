@@ -49,7 +49,7 @@ class Ending:
 
     def __init__(self, session: Session, tell: Callable[[Outcome], None]) -> None:
         self.shown = ExitStack()
-        self._session, self._tell = session, tell
+        self._session, self._report = session, tell
         self._terminals = [file for file in (0, 1, 2) if os.isatty(file)]
         self._asked = 0
         self._interrupts = self._ours = False
@@ -172,7 +172,7 @@ class Ending:
         try:
             outcome = self._session.break_off(call.broken_off(), call.node)
             self.shown.close()
-            self._tell(outcome)
+            self._report(outcome)
         except Exception:
             log.exception("not everything could be closed")
         for output in (sys.stdout, sys.stderr):

@@ -92,7 +92,7 @@ def replay(
 
         run = replay_of(graph)
         if not as_json:
-            _tell_missing(run.substitutes)
+            _report_missing(run.substitutes)
         if shown and isinstance(pace, Pace):
             run, result = _on_page(shown, pace, run, lambda: replay_of(graph_again(True)), quiet)
         else:
@@ -100,7 +100,7 @@ def replay(
     if as_json:
         print_json(_facts_of(result, run.substitutes))
     else:
-        _tell(result)
+        _report(result)
     if verify and not _same(recorded, result, run, source, err=as_json):
         sys.exit(1)
     _check_whole(result, run, source)
@@ -237,7 +237,7 @@ def _speaking(graph: Graph, asked: list[str]) -> set[str]:
     return outlets if "all" in asked else set(asked)
 
 
-def _tell_missing(of: Substitutes) -> None:
+def _report_missing(of: Substitutes) -> None:
     """What cannot be computed, for want of images, and what is taken from the recording instead."""
     if of.missing:
         say(
@@ -279,7 +279,7 @@ def _not_compared(recorded: list[str], result: Replayed, of: Substitutes) -> lis
     ]
 
 
-def _tell(result: Replayed) -> None:
+def _report(result: Replayed) -> None:
     pace = f", {result.seconds / result.took_s:.0f} times real time" if result.took_s > 0 else ""
     say(f"replayed {result.seconds:.1f} s in {result.took_s:.2f} s{pace}{' (stopped)' if result.stopped else ''}")
     for name, (recorded, replayed) in result.digests.items():

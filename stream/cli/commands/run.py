@@ -127,7 +127,7 @@ def conduct(
         session.probe()
         for page in pages:
             page.attach(session)
-        ending = Ending(session, _tell_end)
+        ending = Ending(session, _report_end)
         with ending, ending.shown as shown:
             served = shown.enter_context(ExitStack())
             for page in pages:
@@ -139,7 +139,7 @@ def conduct(
             outcome = session.run()
             stays = bool(pages) and not duration_s and on_terminal() and session.asked_by in ("", "SIGINT")
             served = served.pop_all() if stays else served
-    _tell_end(outcome)
+    _report_end(outcome)
     for line in farewell if _is_recorded(outcome) else ():
         say(line, err=True)
     if stays:
@@ -217,7 +217,7 @@ def _is_recorded(outcome: Outcome) -> bool:
     return bool(outcome.folder and any(outcome.folder.glob("*.mcap")))
 
 
-def _tell_end(outcome: Outcome) -> None:
+def _report_end(outcome: Outcome) -> None:
     say(f"session of {outcome.seconds:.1f} s ended{'' if outcome.error is None else ' with an error'}", err=True)
     for name, row in outcome.table.items():
         if row.get("error") and row.get("behind_s"):

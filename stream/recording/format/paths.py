@@ -59,7 +59,7 @@ def lock(path: Path) -> FileLock:
     return held
 
 
-def give_back(path: Path, held: FileLock) -> None:
+def unlock_recording(path: Path, held: FileLock) -> None:
     """Release the place, and leave no lock file behind (filelock minds a file that vanished; Windows keeps it)."""
     with suppress(OSError):
         lock_path(path).unlink(missing_ok=True)
@@ -69,7 +69,7 @@ def give_back(path: Path, held: FileLock) -> None:
 def refuse_taken_folder(path: Path) -> None:
     """Raise RecordingError for a folder in which somebody records, or in which a recording lies already."""
     if path.is_dir():
-        give_back(path, lock(path))
+        unlock_recording(path, lock(path))
         refuse_taken(path)
 
 
@@ -81,7 +81,7 @@ def refuse_taken(path: Path) -> None:
         )
 
 
-def claim(path: Path, *, taken: bool = False) -> tuple[FileLock, int]:
+def lock_recording(path: Path, *, taken: bool = False) -> tuple[FileLock, int]:
     """Lock the place, and prove that it can be written. Returns the lock and the number of the part to begin with.
 
     `taken` says that a recording may lie there already.
@@ -105,10 +105,10 @@ def claim(path: Path, *, taken: bool = False) -> tuple[FileLock, int]:
         number = 0 if not parts else 1 if parts[-1] == path else _number(parts[-1]) + 1
         _probe(part_path(path, number))
     except RecordingError:
-        give_back(path, held)
+        unlock_recording(path, held)
         raise
     except OSError as error:
-        give_back(path, held)
+        unlock_recording(path, held)
         raise RecordingError(
             f"{path}: cannot write there ({error.strerror or error}); free some space or choose another folder"
         ) from None

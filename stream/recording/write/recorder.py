@@ -18,7 +18,7 @@ from kinegraph.stream.graph import RecordingOptions
 from kinegraph.stream.recording.format.image import is_frames
 from kinegraph.stream.recording.format.layout import LOG, METRICS, Kept, Role
 from kinegraph.stream.recording.format.packed import Packer
-from kinegraph.stream.recording.format.paths import claim, give_back
+from kinegraph.stream.recording.format.paths import lock_recording, unlock_recording
 from kinegraph.stream.recording.read.reader import missing_at
 from kinegraph.stream.recording.write.file_segments import FileSegments
 from kinegraph.stream.recording.write.message_batches import MessageBatches
@@ -64,7 +64,7 @@ class Recorder:
         self._slots = [RecorderSlot(LOG), RecorderSlot(METRICS)]
         self._queue: SimpleQueue[Handed] = SimpleQueue()
         self._rounds = MessageBatches(self._slots, round(options.gather_s * NS), self._queue.put)
-        self._lock, number = claim(path, taken=resume)
+        self._lock, number = lock_recording(path, taken=resume)
         self._segments = FileSegments(path, number, header, options, live=not wait)
         stop = Event()
         self._writer = RecordWriter(path, self._slots, self._segments, stop, live=not wait)
@@ -201,7 +201,7 @@ class Recorder:
         self._thread.close()
         if self._segments.disturbed:
             self._missing = missing_at(self._path)
-        give_back(self._path, self._lock)
+        unlock_recording(self._path, self._lock)
 
     def check(self) -> None:
         """Raises RecordingError where something that was handed over is not on the disk; for offline work, after `close`."""
