@@ -33,7 +33,7 @@ from kinegraph.stream.domain.humanoid import BONES, usual_body
 from kinegraph.stream.domain.skeleton import joints_of
 from kinegraph.stream.errors import DeviceError, InputError, KinegraphError, ParameterError
 from kinegraph.stream.operator import grid
-from tests.support.command_line import KINEGRAPH
+from tests.support.command_line import Command, refused
 
 TREE = usual_body()
 POSES = np.array([true_pose(2.0 + 0.1 * k) for k in range(60)])
@@ -85,33 +85,26 @@ def test_poses_go_into_a_bvh_file_as_they_come(tmp_path: Path) -> None:
         BvhFile(path="a.bvh").open({"pose": TREE.spec(None)})
 
 
-def exported(folder: Path, config: str, stream: str, place: Path, *more: str) -> None:
-    run = ("run", config, "--view", "none", "-o", str(folder / "run"), *more)
-    for words in (run, ("files", "export", str(folder / "run"), "--stream", stream, "-o", str(place))):
-        done = subprocess.run([KINEGRAPH, *words], capture_output=True, text=True, timeout=280)
-        assert done.returncode == 0, done.stderr
-
-
-def test_a_recorded_pose_is_exported(tmp_path: Path) -> None:
+def test_a_recorded_pose_is_exported(kinegraph: Command, tmp_path: Path) -> None:
     graph = tmp_path / "g.yaml"
     graph.write_text(
         "nodes:\n  someone: {use: devices.people.performer.Performer, realtime: false, duration_s: 4}\nrecord: [someone.pose]\n"
     )
-    exported(tmp_path, str(graph), "someone.pose", tmp_path / "out.bvh")
+    for words in (
+        ("run", graph, "--view", "none", "-o", "run"),
+        ("files", "export", "run", "--stream", "someone.pose", "-o", "out.bvh"),
+    ):
+        code, _, complaint = kinegraph(*words)
+        assert code == 0, complaint
     same_motion(tmp_path / "out.bvh", np.array([true_pose(k / 30) for k in range(120)]))
     for words, complaint in (
         (("--stream", "someone.markers", "-o", "a.bvh"), "no stream of poses"),
         (("--stream", "someone.markers", "-o", "a.glb"), "neither poses nor a mesh"),
         (("--stream", "someone.pose", "-o", "out.bvh"), "already exists"),
     ):
-        done = subprocess.run(
-            [KINEGRAPH, "files", "export", "run", *words], cwd=tmp_path, capture_output=True, text=True, timeout=60
-        )
-        assert done.returncode != 0 and complaint in done.stderr, done.stderr
-    done = subprocess.run(
-        [KINEGRAPH, "files", "export", "run", "-o", "all.glb"], cwd=tmp_path, capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 0 and "someone.markers: left out" in done.stderr, done.stderr
+        refused(kinegraph("files", "export", "run", *words), complaint)
+    code, _, complaint = kinegraph("files", "export", "run", "-o", "all.glb")
+    assert code == 0 and "someone.markers: left out" in complaint, complaint
     assert gltf_of(tmp_path / "all.glb")[0]["animations"]
 
 

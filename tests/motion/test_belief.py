@@ -17,6 +17,7 @@ from tests.motion.segmentation_runs import QUICK, motion, played
 from tests.motion.test_rest_and_belief import believed_late
 from tests.motion.test_rest_and_belief import gestures as from_rest
 from tests.support.real import needs_data
+from tests.support.tiers import rest_nightly
 
 LATE = {"13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2}
 """Repetitions that are believed too late: of 4 to 16 frames, found when the activity's cycle was, of motion that hardly repeats."""
@@ -70,7 +71,7 @@ def assert_corrected(events: dict[str, Any]) -> None:
     assert {key: believed[key] for key in final} == final
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", rest_nightly(*range(6)))
 def test_what_is_believed_is_corrected_where_it_differs_from_what_is_final(seed: int) -> None:
     assert_corrected(played(Segment(**QUICK), motion(seed, rests=bool(seed % 2)))[0])
 
