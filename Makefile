@@ -3,7 +3,7 @@
 # make test: everything that guards a change.
 # make nightly: make test and all that takes long: hard nights, long sessions, fuzzing by the minute, peers, every page in the browser.
 # make test-peers: software written elsewhere reads what kinegraph writes; installed for the purpose.
-# make site: the documentation as a site, in site/. make dist: wheel and sdist, in dist/.
+# make site: the documentation as a site, in site/. make dist: sdist, wheel, and a wheel with compiled kernels, in dist/.
 # Each needs Python >= 3.11 and nothing else; the environment is made in .venv.
 
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
@@ -76,10 +76,12 @@ site: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet --config-file docs/site/mkdocs.yml
 
-# the wheel is built from the sdist, which thereby is known to hold all that it takes
-dist: .venv/bin/python
+# the wheel is built from the sdist, which thereby is known to hold all that it takes; then, beside it, one for this Python on Linux x86-64
+# that holds compiled kernels: five minutes of a processor for each level of processors
+dist: .venv/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check build
 	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m tests.platform_wheel dist
 
 .venv/bin/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name it: make PYTHON=/path/to/python3" >&2; exit 1; }
