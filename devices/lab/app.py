@@ -109,6 +109,7 @@ class Lab:
         """The result of a session that has ended, read once."""
         if not one["runs"] and one["result"] == "" and one["kind"] != "import":
             session = self.sessions.of(one["id"])
+            session.keep_reports()
             one["result"] = result_of(session.folder) or "-"
             session.note(result=one["result"])
 

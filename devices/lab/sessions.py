@@ -28,7 +28,7 @@ from kinegraph.stream.system.atomic_file import private_folder
 
 FACTS, LOCK, OUTPUT = "lab.json", "lab.lock", "output.txt"
 PAGE = re.compile(r"^page: (http\S+)", re.MULTILINE)
-LEFT = re.compile(r"^[\w.-]+: (.+\.\w+)$", re.MULTILINE)
+LEFT = re.compile(r"^[\w.-]+: (\S.*)$", re.MULTILINE)
 ERROR = re.compile(r"^kinegraph: (.+)", re.MULTILINE | re.DOTALL)
 ENDED = re.compile(r"^session of ([\d.]+) s ended", re.MULTILINE)
 MOST_OUTPUT = 64 << 10
@@ -114,12 +114,20 @@ class LabSession:
             for p in self.folder.rglob("*")
             if p.suffix in FILES and p.is_file() and p.name != FACTS and not p.name.startswith(".")
         ]
-        home = self.folder.parent.parent
-        for line in LEFT.findall(self.output):
-            path = home / line.strip()
-            if path.is_file() and path.suffix in FILES and path.resolve().is_relative_to(home) and path not in found:
-                found.append(path)
         return sorted(found, key=lambda p: (p.suffix != ".html", p.name))
+
+    def keep_reports(self) -> None:
+        """Copy what the session wrote elsewhere in the lab's folder, where the next one would replace it."""
+        home, began_s = self.folder.parent.parent.resolve(), self.facts["began_s"]
+        for line in LEFT.findall(self.output):
+            path = (home / line.strip()).resolve()
+            if path == home or not path.is_relative_to(home) or path.is_relative_to(self.folder.resolve()):
+                continue
+            beside = path.rglob("*") if path.is_dir() else path.parent.glob(f"{path.stem}.*")
+            for one in beside:
+                if one.suffix in FILES and one.is_file() and one.stat().st_mtime >= began_s:
+                    private_folder(self.folder / "reports")
+                    shutil.copy(one, self.folder / "reports")
 
     def summary(self) -> dict[str, Any]:
         """What lists show of it."""

@@ -9,9 +9,38 @@ from typing import Any
 from kinegraph.stream.params import param
 
 PANEL_KINDS = (
+    "answer",
     "signal", "events", "table", "cycles", "frame", "scene", "avatar", "hypnogram", "weeks", "map", "similarity", "state", "graph", "log",
 )  # fmt: skip
 """Those that the page has itself; operators and outlets bring others."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """One thing that an answer shows: of a stream's events, the newest that fits.
+
+    of        the stream
+    field     the field that is shown
+    label     what it is, for people
+    unit      default: the field's own
+    decimals  of a number
+    factor    what a number is multiplied with: 2 makes steps of strides
+    values    words for values ({sleep: asleep}); an empty word shows nothing
+    where     only events with these values ({final: false}); a list names several
+    count     how many events fit, instead of a field
+    since     since when the field has had its value, beside it
+    """
+
+    of: str
+    values: dict[str, str] = field(default_factory=dict)
+    where: dict[str, Any] = field(default_factory=dict)
+    field: str = ""
+    label: str = ""
+    unit: str = ""
+    decimals: int = param(0, least=0, most=6)
+    factor: float = 1.0
+    count: bool = False
+    since: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +54,8 @@ class Panel:
     window_s   how much time it shows; 0: the page's own choice
     least      lower limit of the scale; default: what the data take
     most       upper limit of the scale
+    folded     whether it is among the signals, which are folded away until somebody opens them
+    show       what a panel of the kind `answer` shows, the most important first and largest
     """
 
     kind: str
@@ -34,6 +65,8 @@ class Panel:
     window_s: float = param(0.0, least=0.0, most=86400.0)
     least: float | None = None
     most: float | None = None
+    folded: bool = False
+    show: tuple[Shown, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

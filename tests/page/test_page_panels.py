@@ -351,6 +351,9 @@ def test_modes_are_ellipses_where_they_are_and_targets_are_boxes(
     last = {name: rows[rows["number"] == rows["number"].max()] for name, rows in last.items() if len(rows)}
     assert last, "no mixture to be shown"
     box = "document.querySelector('[aria-label=\"modes\"]').dataset"
+    assert page.value(f"{box}.ellipses") == "0", "they are drawn where they are wanted"
+    page.value("document.querySelector('[aria-label=\"modes\"] header button[aria-pressed]').click()")
+    page.wait(f"{box}.ellipses !== '0'")
     assert page.value(f"{box}.ellipses") == str(sum(map(len, last.values())))
     assert page.value(f"{box}.targets") == "2"
     assert page.value("document.querySelector('[aria-label=\"cycles\"]').dataset.norms") == "2", (

@@ -469,9 +469,9 @@ def test_every_message_stands_in_the_docs() -> None:
 
 SHIPPED = {
     "avatar_markers": {"avatar", "scene", "signal", "state", "graph", "log"},
-    "treadmill_emg": {"cycles", "signal", "events", "table", "state", "graph", "log"},
-    "bedside_simulated": {"hypnogram", "weeks", "signal", "events", "table", "state", "graph", "log"},
-    "bedside_sleep": {"hypnogram", "weeks", "signal", "events", "table", "state", "graph", "log"},
+    "treadmill_emg": {"answer", "cycles", "signal", "events", "table", "state", "graph", "log"},
+    "bedside_simulated": {"answer", "hypnogram", "weeks", "signal", "events", "table", "state", "graph", "log"},
+    "bedside_sleep": {"answer", "hypnogram", "weeks", "signal", "events", "table", "state", "graph", "log"},
     "segment_mocap": {"similarity", "scene", "signal", "events", "table", "state", "graph", "log"},
 }
 

@@ -14,7 +14,7 @@ export function section(panels: PanelInfo[], window_s: number): string {
   let timed = false;
   const lines = panels.map((info) => {
     const of = info.of.filter((name) => !OWN.has(name));
-    const more: Record<string, unknown> = { title: info.title || undefined, wide: info.wide, tall: info.tall, least: info.least ?? undefined, most: info.most ?? undefined };
+    const more: Record<string, unknown> = { title: info.title || undefined, wide: info.wide, tall: info.tall, least: info.least ?? undefined, most: info.most ?? undefined, folded: info.folded, show: info.show };
     if (!timed && (info.kind === "signal" || info.kind === "events")) {
       more["window_s"] = window_s;
       timed = true;

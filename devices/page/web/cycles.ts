@@ -1,6 +1,6 @@
 // Cycles as they close: per channel the mean with its band, and the last cycle over it; the modes of its activation peaks, and target bands.
 
-import { colour, type Page, Panel, shade, Sheet, type Span } from "./panel";
+import { colour, make, type Page, Panel, shade, Sheet, type Span } from "./panel";
 import type { Newest, Stream } from "./store";
 import type { Cell, PanelInfo } from "./wire";
 
@@ -17,10 +17,21 @@ const has = (stream: Stream, ...names: string[]): boolean => names.every((name) 
 export class CyclesPanel extends Panel {
   private readonly sheet = new Sheet(this.body, this.height);
   private drawn = -1;
+  /** Modes of the peaks, and whether somebody wants to see them. */
+  private readonly modes: Stream | undefined;
+  private wanted = false;
 
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
     this.sheet.canvas.setAttribute("role", "img");
+    this.modes = streams.find((s) => has(s, "name", "number", "place_pct", "height", "sd_pct", "sd_height", "correlation"));
+    if (!this.modes) return;
+    const button = make("button", { type: "button", "aria-pressed": "false" }, "modes");
+    button.onclick = () => {
+      this.wanted = !this.wanted;
+      button.setAttribute("aria-pressed", String(this.wanted));
+    };
+    this.tools.append(button);
   }
 
   override restyle(): void {
@@ -29,15 +40,18 @@ export class CyclesPanel extends Panel {
 
   draw(span: Span): void {
     const [mean, sd, last, low, high] = this.streams.filter((s) => s.info.kind !== "events");
-    const modes = this.streams.find((s) => has(s, "name", "number", "place_pct", "height", "sd_pct", "sd_height", "correlation"));
+    const offered = this.modes;
     const targets = this.streams.find((s) => has(s, "name", "number", "from_pct", "to_pct", "low", "high", "state"));
+    const closed = this.streams.find((s) => has(s, "number", "stance_pct", "rejected"));
+    const modes = this.wanted ? offered : undefined;
     let [ellipses, bands, norms] = [0, 0, 0];
     const names = mean?.info.channels ?? [];
     const order = sideBySide(names);
     const [columns, tall] = this.grid(names.length, order !== null);
     const until = this.page.recording ? span.at : Infinity;
     const seen = [modes, targets].map((s) => (s ? newestOf(s, until).reduce((n, row) => Math.max(n, row[0] as number), 0) : 0));
-    const state = this.streams.reduce((n, s) => n * 31 + s.count, columns * 7 + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
+    const stance = closed ? stanceOf(closed, until) : new Map<string, number>();
+    const state = this.streams.reduce((n, s) => n * 31 + s.count, Number(this.wanted) + columns * 7 + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
     if (state === this.drawn) return;
     this.drawn = state;
     this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * tall}px`;
@@ -52,6 +66,7 @@ export class CyclesPanel extends Panel {
       const [x, y] = [(place % columns) * cell, Math.floor(place / columns) * tall];
       const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: tall - HEAD - PAD, least: 0, most: 1 };
       [box.least, box.most] = scales[c] = (order ? shared(ranges, order, place) : ranges[c]) as Range;
+      if (stance.size) drawStance(pen, stance.get(/^(L|left)[ _]/.test(name) ? "left" : /^(R|right)[ _]/.test(name) ? "right" : "") ?? stance.get(""), box);
       this.drawChannel(pen, c, name, box, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
       if (low?.newest && high?.newest) norms += drawNorm(pen, column(low.newest, c), column(high.newest, c), box);
       if (targets) bands += drawTargets(pen, targets, newestOf(targets, until, name), box);
@@ -59,9 +74,9 @@ export class CyclesPanel extends Panel {
     });
     this.element.dataset["scales"] = JSON.stringify(scales);
     if (high) this.element.dataset["norms"] = String(norms);
-    if (modes) this.element.dataset["ellipses"] = String(ellipses);
+    if (offered) this.element.dataset["ellipses"] = String(ellipses);
     if (targets) this.element.dataset["targets"] = String(bands);
-    this.note.textContent = last?.newest ? `${last.newest.count ? `${last.newest.count} cycles; ` : ""}line: last, band: mean ± SD${modes ? ", ellipses: modes of its peaks" : ""}${targets ? ", boxes: targets" : ""}${norms ? ", dashed: norms" : ""}` : "no cycle yet";
+    this.note.textContent = last?.newest ? `${last.newest.count ? `${last.newest.count} cycles; ` : ""}line: last, band: mean ± SD${modes ? ", ellipses: modes of its peaks" : ""}${targets ? ", boxes: targets" : ""}${norms ? ", dashed: norms" : ""}; 0 to 100 % of the cycle${stance.size ? ", shaded: stance" : ""}` : "no cycle yet";
     this.stamp();
     this.element.dataset["cycles"] = String((last ?? mean)?.newest?.count ?? 0);
     this.sheet.canvas.setAttribute("aria-label", `${names.length} channels, ${this.note.textContent}`);
@@ -158,6 +173,31 @@ const level = (v: number, box: Box): number => box.top + box.height * (1 - (v - 
 function shared(ranges: Range[], order: number[], place: number): Range {
   const pair = [order[place - (place % 2)], order[place - (place % 2) + 1]].map((c) => ranges[c as number] as Range);
   return [Math.min(...pair.map(([least]) => least)), Math.max(...pair.map(([, most]) => most))];
+}
+
+/** Of the latest accepted cycle, how much is stance (%), by limb; "" where limbs are not separated. */
+function stanceOf(stream: Stream, until: number): Map<string, number> {
+  const [place, limb, rejected] = ["stance_pct", "limb", "rejected"].map((name) => field(stream, name)) as [number, number, number];
+  const found = new Map<string, number>();
+  for (let i = stream.rows.length - 1; i >= 0 && found.size < 2; i--) {
+    const row = stream.rows[i] as Cell[];
+    const who = limb ? String(row[limb]) : "";
+    if ((row[0] as number) > until || row[rejected] || found.has(who) || typeof row[place] !== "number") continue;
+    found.set(who, row[place] as number);
+    if (!limb) break;
+  }
+  return found;
+}
+
+/** The share of the cycle in which the foot is on the ground, and its end in numbers. */
+function drawStance(pen: CanvasRenderingContext2D, pct: number | undefined, box: Box): void {
+  if (pct === undefined || pct !== pct) return;
+  const wide = (box.width * pct) / 100;
+  pen.fillStyle = colour("back");
+  pen.fillRect(box.left, box.top, wide, box.height);
+  pen.fillStyle = colour("dim");
+  pen.font = "10px system-ui, sans-serif";
+  pen.fillText(`${pct.toFixed(0)} %`, box.left + wide + 3, box.top + 11);
 }
 
 /** The rows of a channel's latest cycle, until a time; without a channel, of each. A joint mixture ("GM+GL") is each of its channels'. */

@@ -12,6 +12,8 @@ const AXIS = 26;
 /** A state without an end lasts until the next one of the same sleeper or subject, unless it says that something has passed. */
 const [WHOSE, PASSED] = [["sleeper", "subject"], new Set(["out", "over", ""])];
 const MOST_LANES = 24;
+/** Shades that nobody takes for an alarm. */
+const CALM = [0, 2, 3, 6, 7, 4, 8, 9, 11];
 const MOST_ROWS = 60;
 
 interface Lane { stream: Stream; label: string; kind: Cell; shade: number }
@@ -81,7 +83,8 @@ export class EventsPanel extends Panel {
     const whose = end || PASSED.has(String(lane.kind)) ? 0 : (WHOSE.map((name) => field(lane.stream, name)).find((i) => i > 0) ?? 0);
     const rows = recent(lane.stream.rows, span);
     let drawn = 0;
-    pen.fillStyle = pen.strokeStyle = shade(lane.shade);
+    const alarm = ["state", "what", "advice"].every((name) => field(lane.stream, name));
+    pen.fillStyle = pen.strokeStyle = alarm ? colour(lane.kind === "on" ? "bad" : "dim") : shade(CALM[lane.shade % CALM.length] as number);
     for (const [i, row] of rows.entries()) {
       if (kind && (row[kind] ?? null) !== lane.kind) continue;
       const from = (onset ? row[onset] : row[0]) as number;

@@ -25,7 +25,7 @@ function App() {
   useEffect(() => { document.getElementById("main")?.focus({ preventScroll: true }); scrollTo(0, 0); }, [place, what]);
   return (
     <>
-      <header class="top">
+      <header class={`top ${place === "session" ? "slim" : ""}`}>
         <a class="brand" href="#/">kinegraph lab</a>
         <nav aria-label="lab">
           <a href="#/" aria-current={place === "" ? "page" : undefined}>Home</a>

@@ -6,6 +6,9 @@ import type { Field, Found, Source, Value } from "./lab_api";
 const MUSCLES = ["TA", "SO", "GM", "GL", "RF", "VM", "VL", "BF", "ST", "GMAX", "GMED", "AL", "PL", "ES"];
 const SIDED = MUSCLES.flatMap((muscle) => [`L_${muscle}`, `R_${muscle}`]);
 
+/** Ends of names that say a unit, longest first. */
+const UNITS: Record<string, string> = { m_s: "m/s", per_min: "1/min", hz: "Hz", ms: "ms", mm: "mm", pct: "%", deg: "°", kg: "kg", uV: "µV", mV: "mV", s: "s", m: "m" };
+
 export type Values = Record<string, Value>;
 interface Given { field: Field; value: Value | undefined; change: (value: Value | undefined) => void }
 
@@ -21,6 +24,12 @@ const read = (text: string): Value => {
   }
 };
 const written = (value: Value | undefined): string => (value === undefined || value === null ? "" : typeof value === "string" ? value : JSON.stringify(value));
+
+/** A parameter's name for people, its unit in brackets: "for_s" is "for (s)". */
+const titled = (name: string): string => {
+  const unit = Object.keys(UNITS).find((end) => name.endsWith(`_${end}`));
+  return (unit ? `${name.slice(0, -unit.length - 1)} (${UNITS[unit]})` : name).replace(/_/g, " ");
+};
 
 export function FormField({ field, value, change }: Given) {
   const id = useId();
@@ -83,11 +92,11 @@ function Table({ id, rows, columns, change }: { id: string; rows: Record<string,
   return (
     <div class="scroll">
       <table id={id} class="rows">
-        <thead><tr>{columns.map((column) => <th key={column} scope="col">{column.replace(/_/g, " ")}</th>)}<th><span class="unseen">remove</span></th></tr></thead>
+        <thead><tr>{columns.map((column) => <th key={column} scope="col">{titled(column)}</th>)}<th><span class="unseen">remove</span></th></tr></thead>
         <tbody>
           {rows.map((row, i) => (
             <tr key={i}>
-              {columns.map((column) => <td key={column}><input value={written(row[column])} size={Math.max(6, written(row[column]).length)} aria-label={`${column.replace(/_/g, " ")}, row ${i + 1}`} onInput={(e) => put(i, column, e.currentTarget.value)} /></td>)}
+              {columns.map((column) => <td key={column}><input value={written(row[column])} size={Math.max(6, written(row[column]).length)} aria-label={`${titled(column)}, row ${i + 1}`} onInput={(e) => put(i, column, e.currentTarget.value)} /></td>)}
               <td><button type="button" aria-label={`remove row ${i + 1}`} disabled={rows.length < 2} onClick={() => change(rows.filter((_, k) => k !== i))}>×</button></td>
             </tr>
           ))}

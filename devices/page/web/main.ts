@@ -1,5 +1,6 @@
 // The page: what the server tells goes to the streams, the panels draw them, and what a person does goes back.
 
+import { AnswerPanel } from "./answer";
 import { Arranger } from "./arrange";
 import { CyclesPanel } from "./cycles";
 import { EventsPanel, TablePanel } from "./events";
@@ -7,8 +8,10 @@ import { FramePanel } from "./frame";
 import { HypnogramPanel } from "./hypnogram";
 import { LiveMapPanel } from "./map_live";
 import { OwnPanel } from "./own";
+import { showKeys } from "./keys";
 import { make, type Page, Panel, type Span } from "./panel";
 import { AvatarPanel, ScenePanel } from "./scene";
+import { picture, saveTable } from "./save";
 import { SignalPanel } from "./signal";
 import { SimilarityPanel } from "./similarity";
 import { GraphPanel, LogPanel, StatePanel } from "./state";
@@ -25,9 +28,17 @@ const MANUAL = "stream.manual.";
 const GONE = "kinegraph is no longer running";
 /** A long window begins with the session, until it is full; but not shorter than this share of it. */
 const [LONG_S, SHORTEST] = [300, 1 / 8];
+/** Fewer words than this need no menus. */
+const FEW = 4;
+/** What fields of words take. */
+const HINTS: Record<string, string> = { stage: "1.2 m/s", "leave out": "17 TA", use: "17", "this is:": "squat", speed: "1.2" };
 /** A panel of this width is as wide as the page. */
 const WHOLE = 4;
 const DRAW_MS = 1000 / 60;
+/** Panels about the engine: folded away where a graph has an answer. */
+const ENGINE = new Set(["state", "graph", "log"]);
+/** Panels without anything to save. */
+const TEXTS = new Set(["state", "log", "graph", "answer"]);
 /** Within the lab, which has the session's name and its controls. */
 const EMBEDDED = window.parent !== window;
 const SLOW_DRAW_MS = 250;
@@ -51,6 +62,8 @@ class Main implements Page {
     for (const { target, isIntersecting } of entries) isIntersecting ? this.seen.add(target) : this.seen.delete(target);
   });
   private readonly host = document.getElementById("panels") as HTMLElement;
+  private readonly inner = make("div", { class: "panels" });
+  private readonly folded = make("details", { class: "signals" }, make("summary", {}, "signals"), this.inner);
   private readonly status = document.getElementById("status") as HTMLOutputElement;
   private readonly controls = document.getElementById("controls") as HTMLElement;
   private readonly windows = make("select", { "aria-label": "seconds shown" });
@@ -82,6 +95,10 @@ class Main implements Page {
     this.theme(localStorage.getItem("theme") ?? (dark.matches ? "dark" : "light"));
     dark.onchange = () => { if (!localStorage.getItem("theme")) this.theme(dark.matches ? "dark" : "light"); };
     this.connection = new Connection((m, buffer, at) => this.hear(m, buffer, at), (state) => this.say(this.over && state !== "connected" ? `${this.over}; ${GONE}` : state));
+    this.folded.ontoggle = () => {
+      this.fill();
+      this.look();
+    };
     addEventListener("storage", () => this.theme(localStorage.getItem("theme") ?? "light"));
     addEventListener("keydown", (event) => this.key(event));
     addEventListener("resize", () => {
@@ -209,16 +226,27 @@ class Main implements Page {
     this.panels = panels;
     this.watch.disconnect();
     this.seen.clear();
-    this.host.replaceChildren(...panels.map((p) => p.element));
+    const answered = panels.some((p) => p.info.kind === "answer");
+    const isFolded = (p: Panel) => p.info.folded || (answered && ENGINE.has(p.info.kind));
+    const under = panels.filter(isFolded);
+    this.inner.replaceChildren(...under.map((p) => p.element));
+    this.host.replaceChildren(...panels.filter((p) => !isFolded(p)).map((p) => p.element), ...(under.length ? [this.folded] : []));
+    for (const panel of panels) this.equip(panel);
     for (const panel of panels) this.watch.observe(panel.element);
     this.fill();
   }
 
   /** Where a row's panels leave a place free, the last of them takes it. */
   private fill(): void {
-    const columns = getComputedStyle(this.host).gridTemplateColumns.split(" ").length;
+    this.fillIn(this.host);
+    if (this.folded.open) this.fillIn(this.inner);
+  }
+
+  private fillIn(host: HTMLElement): void {
+    const columns = getComputedStyle(host).gridTemplateColumns.split(" ").length;
     const rows: { free: number; last: Panel | null; wide: number }[] = [];
     for (const panel of this.panels) {
+      if (panel.element.parentElement !== host) continue;
       const wide = panel.info.wide === WHOLE ? columns : Math.min(columns, panel.info.wide ?? 1);
       panel.element.style.gridColumn = `span ${wide}`;
       const row = rows.find(({ free }) => free >= wide) ?? rows[rows.push({ free: columns, last: null, wide }) - 1];
@@ -228,10 +256,27 @@ class Main implements Page {
     for (const { free, last, wide } of rows) if (free && last) last.element.style.gridColumn = `span ${wide + free}`;
   }
 
+  /** Ways to take what a panel shows elsewhere. */
+  private equip(panel: Panel): void {
+    if (panel.element.querySelector(".save") || TEXTS.has(panel.info.kind)) return;
+    const button = (label: string, title: string, act: () => void) => {
+      const made = make("button", { type: "button", class: "save", title }, label);
+      made.onclick = act;
+      return made;
+    };
+    const head = panel.element.querySelector("header");
+    if (panel.streams.length) head?.append(button("CSV", "save what is shown as a table", () => saveTable(panel, this.span())));
+    if (panel.element.querySelector("canvas")) head?.append(button("PNG", "save as a picture", () => {
+      panel.draw(this.span());
+      picture(panel);
+    }));
+  }
+
   private panel(info: Hello["panels"][number], hello: Hello): Panel | null {
     const streams = info.of.map((name) => this.streams.find((s) => s.info.name === name)).filter((s): s is Stream => s !== undefined);
     if (info.of.length && !streams.length && !info.missing?.length) return null;
     switch (info.kind) {
+      case "answer": return new AnswerPanel(info, streams, this);
       case "signal": return streams.length ? new SignalPanel(info, streams, this) : null;
       case "events": return new EventsPanel(info, streams, this);
       case "table": return new TablePanel(info, streams, this);
@@ -280,7 +325,7 @@ class Main implements Page {
     }
     const { button: hold, step, speed, whole } = this.replayer;
     if (hello.mode === "replay") return this.controls.replaceChildren(hold, step, speed, whole, this.windows, ...last);
-    const marking = hello.mode === "live" && !this.over && !EMBEDDED ? [this.mark, button, ...(hello.words ?? []).map((word) => this.word(word))] : [];
+    const marking = hello.mode === "live" && !this.over && !EMBEDDED ? [this.mark, button, ...this.words(hello.words ?? [])] : [];
     this.controls.replaceChildren(...values, this.windows, this.pause, ...marking, ...last);
   }
 
@@ -300,6 +345,15 @@ class Main implements Page {
     return make("label", {}, value.node, input, shown);
   }
 
+  /** What may be said to operators: stages and exclusions in a menu each, where there are many. */
+  private words(words: string[]): HTMLElement[] {
+    if (words.length < FEW) return words.map((word) => this.word(word));
+    const isStage = (word: string) => /stage|next/.test(word);
+    const groups: [string, string[]][] = [["stages", words.filter(isStage)], ["exclusions and more", words.filter((word) => !isStage(word))]];
+    return groups.filter(([, group]) => group.length).map(([title, group]) =>
+      make("details", { class: "menu" }, make("summary", {}, title), make("div", {}, ...group.map((word) => this.word(word)))));
+  }
+
   /** A button for what may be said to an operator; with a field, where the word takes a text. */
   private word(word: string): HTMLElement {
     const button = make("button", { type: "button", class: "word" }, word.trim());
@@ -307,7 +361,7 @@ class Main implements Page {
       button.onclick = () => this.annotate(word);
       return button;
     }
-    const field = make("input", { type: "text", size: "8", maxlength: String(64 - word.length), "aria-label": word.trim() });
+    const field = make("input", { type: "text", size: "8", maxlength: String(64 - word.length), "aria-label": word.trim(), placeholder: HINTS[word.trim()] ?? "" });
     const say = () => {
       if (!field.value.trim()) return field.focus();
       this.annotate(word + field.value.trim());
@@ -331,6 +385,7 @@ class Main implements Page {
   private key(event: KeyboardEvent): void {
     const typing = event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
     if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "?") return showKeys(this.hello?.mode ?? "live");
     if (this.timeline) {
       const at = this.timeline.key(event.key, this.span());
       if (at !== null) this.seek(at);
@@ -365,6 +420,7 @@ class Main implements Page {
     }
     const streams: Record<string, number> = {};
     for (const panel of this.panels) {
+      if (!this.folded.open && panel.element.parentElement === this.inner) continue;
       const pixels = Math.max(100, panel.element.clientWidth - 110) * Math.min(2, window.devicePixelRatio);
       for (const [stream, width] of panel.widths(this.window_s, pixels)) streams[stream] = Math.min(streams[stream] ?? Infinity, width);
     }

@@ -23,6 +23,11 @@ export interface StreamInfo {
 export interface AvatarBone { bone: string; parent: number; joint: number; turn: [number, number, number, number] }
 /** Of a stream of poses: the joints' parents, and the bones. */
 export interface AvatarInfo { parents: number[]; bones: AvatarBone[] }
+/** One thing that an answer shows: see `Shown` in stream/graph/page_options.py. */
+export interface ShownInfo {
+  of: string; field?: string; label?: string; unit?: string; decimals?: number; factor?: number; values?: Record<string, string>;
+  where?: Record<string, Cell | Cell[]>; count?: boolean; since?: boolean;
+}
 export interface PanelInfo {
   kind: string;
   of: string[];
@@ -33,6 +38,8 @@ export interface PanelInfo {
   least?: number | null;
   most?: number | null;
   missing?: string[];
+  folded?: boolean;
+  show?: ShownInfo[];
 }
 export interface NodeInfo { name: string; use: string; kind: "source" | "operator" | "outlet" }
 export interface ValueInfo { node: string; initial: number; least: number; most: number; unit: string }

@@ -206,8 +206,19 @@ class _Expansion:
         return {"page": Located({**(page.items() if page else {}), "panels": Located(list(found), line)}, line)}
 
     def _panel(self, scope: Scope, at: Located) -> Located:
-        of = at.items().get("of")
+        if not isinstance(at.value, dict):
+            return at
+        of, show = at.items().get("of"), at.items().get("show")
         reads = self._reads(scope, of, scope.name) if of and of.value is not None else None
+        keys = {**at.items(), "of": reads} if reads else at.items()
+        if show and isinstance(show.value, list):
+            keys = {**keys, "show": replace(show, value=[self._shown(scope, one) for one in show.value])}
+        return replace(at, value=keys) if reads or show else at
+
+    def _shown(self, scope: Scope, at: Located) -> Located:
+        """One thing that an answer shows, its stream in names of the whole graph."""
+        of = at.items().get("of") if isinstance(at.value, dict) else None
+        reads = self._reads(scope, of, scope.name) if of else None
         return replace(at, value={**at.items(), "of": reads}) if reads else at
 
 

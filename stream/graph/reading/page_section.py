@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kinegraph.stream.errors import nearest
-from kinegraph.stream.graph.page_options import PANEL_KINDS, PageOptions, Panel
+from kinegraph.stream.graph.page_options import PANEL_KINDS, PageOptions, Panel, Shown
 from kinegraph.stream.graph.reading.draft import build_from
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.wiring import Wiring
@@ -66,6 +66,8 @@ def _panel(at: Located, wiring: Wiring, problems: Problems, modules: dict[str, P
     edges = [edge for item in items if (edge := wiring.edge(item))]
     if panel is None:
         return None
+    shown = [(one, wiring.edge(at)) for one, at in zip(panel.show, _streams_shown(keys.get("show")), strict=True)]
+    edges += [edge for edge in dict.fromkeys(edge for _, edge in shown) if edge and edge not in edges]
     if panel.kind not in (*PANEL_KINDS, *modules):
         if (path := _installed(panel.kind) if panel.kind.isidentifier() else None) is None:
             problems.add(f"page: kind is {panel.kind!r}; {nearest(panel.kind, (*PANEL_KINDS, *modules))}", keys["kind"])
@@ -75,4 +77,18 @@ def _panel(at: Located, wiring: Wiring, problems: Problems, modules: dict[str, P
     facts = {
         f.name: getattr(panel, f.name) for f in fields(Panel) if getattr(panel, f.name) != getattr(default, f.name)
     }
+    if shown:
+        facts["show"] = [{**_given(one), "of": str(edge)} for one, edge in shown if edge]
     return {"kind": panel.kind, "of": [str(edge) for edge in edges], **facts}
+
+
+def _streams_shown(show: Located | None) -> list[Located]:
+    """Where the streams are written that an answer shows."""
+    items = show.value if show and isinstance(show.value, list) else []
+    return [item.items()["of"] for item in items]
+
+
+def _given(one: Shown) -> dict[str, Any]:
+    """What an answer says of one thing, beside the defaults."""
+    default = Shown("")
+    return {f.name: getattr(one, f.name) for f in fields(Shown) if getattr(one, f.name) != getattr(default, f.name)}
