@@ -9,8 +9,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from kinegraph.devices.synthesis.layout import Sought
 from kinegraph.devices.synthesis.plan_kernel import nearest_ahead
-from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.chunk import Samples
 from kinegraph.stream.domain.motion_graph import MotionGraph
 
 ARRIVED_M = 0.5
@@ -27,21 +28,6 @@ class Aim:
     path: Samples | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Sought:
-    """
-    path (p, 2), length (p,)  the way on the floor, and how far along it each point is; may be empty
-    goal, gait (k,)           nodes of the cluster that is wanted (all false: no cluster is); nodes in which the path is followed
-    togo (k,)                 seconds from the start of each node to the cluster, or gait, that is wanted
-    """
-
-    path: Samples
-    length: Samples
-    goal: Array
-    gait: Array
-    togo: Samples
-
-
 def sought(graph: MotionGraph, seconds: Samples, aim: Aim) -> Sought:
     """An aim as the search knows it; `seconds` as `seconds_to` says."""
     mine = graph.core & (graph.cluster == aim.cluster)
@@ -49,7 +35,7 @@ def sought(graph: MotionGraph, seconds: Samples, aim: Aim) -> Sought:
     togo = np.ascontiguousarray(seconds[:, aim.cluster]) if aim.cluster >= 0 and mine.any() else np.zeros(len(mine))
     if aim.path is None:
         return Sought(np.zeros((0, 2)), np.zeros(0), mine if aim.cluster >= 0 else nothing, every, togo)
-    path: Samples = np.asarray(aim.path, np.float64)
+    path: Samples = np.array(aim.path, np.float64, order="C")
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     return Sought(path, length, nothing, mine if aim.cluster >= 0 else every, togo)
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinegraph.devices.synthesis import plan_kernel as beam
-from kinegraph.devices.synthesis.goals import Sought
-from kinegraph.stream.chunk import Samples
-from kinegraph.stream.domain.motion_graph import MotionGraph, edges_from
+from kinegraph.devices.synthesis.layout import SEARCH, WALK, Sought, Ways
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.domain.motion_graph import MotionGraph
 
 MOST = 1200
 """A frame looks at this many frames and edges at most, but for the ways on from the first node: some 0.3 ms."""
@@ -34,36 +34,30 @@ class WaySearch:
 
     def __init__(self, graph: MotionGraph, areas: Samples, random: np.random.Generator) -> None:
         self.graph, self.areas, self.random = graph, areas, random
-        self.begin, self.natural = edges_from(graph), np.ascontiguousarray(graph.natural)
+        self.ways = Ways.of(graph)
         self._far = graph.distance / max(float(graph.distance.max(initial=0.0)), 1e-9)
         self._share = beam.BEAM * max(1.0, len(graph.source) / len(graph.first))
-        self._rooms = np.zeros((2, beam.BEAM + 1, beam.COLUMNS))
-        self._row = np.zeros(beam.COLUMNS)
-        self._search = np.zeros(beam.SEARCH)
+        self._rooms = np.zeros((2, beam.BEAM + 1), WALK)
+        self._row = np.zeros(1, WALK)
+        self._search = np.zeros(1, SEARCH)
         self.start = Start(0, 0, np.zeros(3), 0.0)
         self.running, self.edge, self.due = False, -1, 0
 
     def begin_at(self, start: Start, sought: Sought, entered: Samples) -> None:
         """Begin to look for the edge that is taken after `start`. entered (k,): how often each node was, for walks by chance."""
         self.start, self._sought = start, sought
-        row = self._rooms[0, 0]
-        self._fill(row, start)
-        ways = slice(int(self.begin[start.node]), int(self.begin[start.node + 1]))
+        _set_out(self._rooms[0, :1], start)
+        ways = slice(*self.ways.begin[start.node : start.node + 2].tolist())
         by_chance = not sought.goal.any() and not len(sought.path)
         self._lots = self._chances(ways, entered) if by_chance else 1e-3 * self.random.random(ways.stop - ways.start)
-        self._search[:] = 0.0, 1.0, np.inf, -1.0, -1.0, 0.0, 0.0, ways.start
+        self._search[0] = 0, 1, np.inf, -1, -1, 0, 0, ways.start
         self.running, self.edge = True, -1
         self.due = self._first_due(ways)
-
-    def _fill(self, row: Samples, start: Start) -> None:
-        row[:] = 0.0
-        row[beam.NODE], row[beam.FRAME], row[beam.ALONG] = start.node, start.frame, start.along
-        row[beam.TURN : beam.Z + 1] = start.place
 
     def _first_due(self, ways: slice) -> int:
         """The frame at which the edge must be known, as that is when the blend of one begins."""
         g, frame = self.graph, self.start.frame
-        leave, natural = g.leave[ways], self.natural[ways]
+        leave, natural = g.leave[ways], self.ways.natural[ways]
         usable = g.core[g.target[ways]] & (natural | (leave - frame >= beam.HALF))
         return int(np.maximum(leave[usable] - g.blend, frame).min(initial=frame + beam.DEPTH))
 
@@ -84,28 +78,33 @@ class WaySearch:
 
         Returns how much was done: frames and edges looked at.
         """
-        g, left = self.graph, beam.DEPTH - self._search[beam.DEEP]
+        search = self._search[0]
+        share = 1 + (beam.DEPTH - search["deep"]) * self._share / max(1, frames)
         looked = beam.deepen(
-            int(min(MOST, 1 + left * self._share / max(1, frames))) if frames > 0 else MOST, self._search, self.start.along, g.poses,
-            g.first, g.last, g.core, self.begin, g.target, g.leave, g.enter, self.natural, g.turn, g.shift, g.blend, g.rate_hz,
-            self._sought.path, self._sought.length, self.areas, self._sought.togo, self._sought.goal, self._sought.gait, self._lots,
-            *self._rooms,
+            int(min(MOST, share)) if frames > 0 else MOST, self._search, self.start.along, self.ways, self._sought,
+            self.areas, self._lots, *self._rooms,
         )  # fmt: skip
-        if frames > 0 and self._search[beam.DEEP] < beam.DEPTH:
+        if frames > 0 and search["deep"] < beam.DEPTH:
             return looked
         self.running = False
-        found = self._search[beam.FOUND] if self._search[beam.FOUND] >= 0 else self._search[beam.CHOSEN]
-        self.edge = int(found)
+        self.edge = int(search["found"] if search["found"] >= 0 else search["chosen"])
         return looked
 
     def half(self, edge: int) -> int:
         """How many frames the blend of an edge has on either side of its middle."""
-        return 0 if self.natural[edge] else min(self.graph.blend, int(self.graph.leave[edge]) - self.start.frame)
+        return 0 if self.ways.natural[edge] else min(self.graph.blend, int(self.graph.leave[edge]) - self.start.frame)
 
     def along(self, start: Start, upto: int, sought: Sought) -> float:
         """How far along the path a walk will be that goes on from `start` to the frame `upto`."""
         if not len(sought.path):
             return 0.0
-        self._fill(self._row, start)
-        beam.look(self._row, self.graph.poses, upto, self.graph.rate_hz, sought.path, sought.length, self.areas)
-        return float(self._row[beam.ALONG])
+        _set_out(self._row, start)
+        beam.look(self._row, 0, upto, self.ways, sought, self.areas)
+        return float(self._row["along"][0])
+
+
+def _set_out(walk: Array, start: Start) -> None:
+    """Let a walk (1,) begin there."""
+    walk[:] = np.zeros(1, WALK)
+    walk["node"], walk["frame"], walk["along"] = start.node, start.frame, start.along
+    walk["turn"], walk["x"], walk["z"] = start.place

@@ -88,13 +88,13 @@ class GraphWalk:
         return (
             self._edge >= 0
             and self.smooth
-            and not self._search.natural[self._edge]
+            and not self._search.ways.natural[self._edge]
             and self.frame >= self.graph.leave[self._edge] - self._half
         )
 
     def _end(self, edge: int) -> int:
         """The frame of this node with which the node that `edge` leads to is entered."""
-        if edge < 0 or self._search.natural[edge]:
+        if edge < 0 or self._search.ways.natural[edge]:
             return int(self.graph.last[self.node])
         return int(self.graph.leave[edge]) + (self._half + 1 if self.smooth else 1)
 
@@ -104,7 +104,7 @@ class GraphWalk:
         node, here = int(g.target[edge]), Start(self.node, self.frame, self.place, self.progress.along)
         changes = self.progress.ends_at(node)
         wanted = self.progress.next_sought() if changes else self.progress.sought
-        if s.natural[edge]:
+        if s.ways.natural[edge]:
             start = Start(node, end, self.place, 0.0 if changes else s.along(here, end, wanted))
         else:
             seam = Start(node, int(g.enter[edge]), self._placed_beyond(edge), s.along(here, int(g.leave[edge]), wanted))
@@ -171,7 +171,7 @@ class GraphWalk:
 
     def _enter(self, edge: int) -> None:
         g = self.graph
-        if not self._search.natural[edge]:
+        if not self._search.ways.natural[edge]:
             self.place = self._placed_beyond(edge)
             self.frame = int(g.enter[edge]) + self.frame - int(g.leave[edge])
         self.node, self._edge, self._otherwise, self._beyond_it = int(g.target[edge]), -1, -1, False
