@@ -15,7 +15,7 @@ BIN := .venv/bin
 # compiled modules are kept: without them every start of a command reads all of the source again (1.5 s of processor time)
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo check test nightly test-peers bench fuzz soak nights audit licences site dist clean
+.PHONY: demo check test nightly coverage test-peers bench fuzz soak nights audit licences site dist clean
 
 demo: .venv/installed
 	@$(BIN)/kinegraph demo $(DEMO)
@@ -33,6 +33,16 @@ test: .venv/installed-for-tests
 nightly: .venv/installed-for-tests
 	$(BIN)/kinegraph dev compile operators
 	KINEGRAPH_FUZZ_S=$(FUZZ_S) KINEGRAPH_EXAMPLES=50 $(BIN)/pytest -n 3 --dist loadgroup -m "nightly or not nightly"
+
+# line and branch coverage, by folder; of everything (an hour), or of some: make coverage TESTS=tests/outlets
+TESTS ?= tests
+coverage: .venv/installed-for-tests
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check "coverage>=7.10"
+	rm -rf .coverage && mkdir .coverage
+	$(BIN)/coverage run -m pytest -q -n 2 --dist loadgroup $(TESTS)
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report --format=total
+	$(BIN)/coverage html --quiet --directory .coverage/html
 
 test-peers: .venv/installed-for-tests
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,oak,peers]'
@@ -101,4 +111,4 @@ dist: .venv/installed
 	@touch .venv/installed .venv/installed-for-tests $@
 
 clean:
-	rm -rf .venv site dist .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv site dist .coverage .mypy_cache .ruff_cache .pytest_cache
