@@ -19,7 +19,7 @@ def test_every_shipped_model_has_an_origin() -> None:
     shipped = [
         path
         for folder in ("operators", "devices")
-        for end in ("npz", "vrm")
+        for end in ("npz", "vrm", "csv")
         for path in (ROOT / folder).rglob(f"*.{end}")
     ]
     assert shipped and all(path.relative_to(ROOT).as_posix() in NOTICE for path in shipped)
