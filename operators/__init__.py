@@ -102,6 +102,7 @@ if TYPE_CHECKING:
     from kinegraph.operators.steps.classifier import StepClassifier
     from kinegraph.operators.steps.steps import Steps
     from kinegraph.operators.strides.footfalls import Footfalls
+    from kinegraph.operators.strides.stride_manner import StrideManner
     from kinegraph.operators.strides.stride_shape import StrideShape
     from kinegraph.operators.timing.align import Align
     from kinegraph.operators.timing.gate import Gate
@@ -203,6 +204,7 @@ __all__ = [
     "StepActivity",
     "StepClassifier",
     "Steps",
+    "StrideManner",
     "StrideShape",
     "Surer",
     "SwitchContacts",
@@ -244,6 +246,7 @@ __getattr__, __dir__ = offered(
         "Extrema": "kinegraph.operators.body.extrema",
         "FillGaps": "kinegraph.operators.filters.gaps",
         "Footfalls": "kinegraph.operators.strides.footfalls",
+        "StrideManner": "kinegraph.operators.strides.stride_manner",
         "Footing": "kinegraph.operators.pose.footing",
         "ForceContacts": "kinegraph.operators.contacts.force",
         "ForcePlate": "kinegraph.operators.contacts.force_plate",

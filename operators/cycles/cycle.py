@@ -16,6 +16,7 @@ from kinegraph.stream.errors import InputError
 POINTS = 100
 REASONS = (
     "too short", "too long", "gap", "settling", "incomplete", "order", "stance", "irregular", "missing", "quality", "by hand", "contacts",
+    "turning",
 )  # fmt: skip
 """Why a cycle is rejected, in the order in which it is asked; see `Cycles`."""
 

@@ -35,7 +35,7 @@ JUDGED = np.dtype(
 )
 """A muscle in a cycle: the worst flag of its signal in the cycle's seconds, why, and whether it counts (1) or is left out (0)."""
 LEAVE, USE = "leave out ", "use "
-CONTACTS = "contacts"
+CONTACTS, TURNING = "contacts", "turning"
 
 Reports: TypeAlias = list[tuple[int, Array, Samples | None, Array]]
 """Stamp, event (1,), curve (None: rejected) and judgements of each cycle to be reported."""
@@ -49,6 +49,7 @@ class ReviewState:
     rows (64,), curves (64, 100, m)   the latest accepted cycles as they came, a ring; `seen` in all;  used (64, m) muscles reported used
     person                a person's verdicts
     spans                 from when to when contacts were wrong;  trust: a person's verdict on all contacts, UNSAID, OUT or IN
+    turns                 (64,) numbers of the latest cycles in which the body turned, a ring; 0: not one
     pending, since        the stamp of windows and alarms not applied yet (NEVER if applied), and when the first of them begins
     """
 
@@ -65,6 +66,7 @@ class ReviewState:
     since: int
     limbs: Belonging
     names: list[str]
+    turns: Times
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +86,8 @@ class CycleReview(Operator[ReviewState]):
     of the alarm to that of its end, with the cycles at both edges. Those reported before the alarm came are taken back. `trust_contacts`
     leaves them in.
 
+    A stride of turning (`manner`: operators.strides.stride_manner.StrideManner) is left out, "turning", unless `count_turns`.
+
     A person has the last word, by an annotation: "leave out 17", "leave out 17 TA", "leave out TA" (in every cycle), "leave out last", or
     "use ..." for the contrary; "use contacts" takes back in all cycles with wrong contacts. As annotations are recorded, a replay knows.
     `left_out` and `kept` say the same from the start on. A cycle that `Cycles` rejected cannot be used: it has no curve.
@@ -99,6 +103,7 @@ class CycleReview(Operator[ReviewState]):
         "annotations": Input(revises=True, optional=True),
         "contacts": Input(revises=True, optional=True),
         "timing": Input(revises=True, optional=True),
+        "manner": Input(revises=True, optional=True),
         "closed": Input(trigger=True),
         "cycles": Input(trigger=True),
     }
@@ -106,6 +111,7 @@ class CycleReview(Operator[ReviewState]):
 
     leave_out: Literal["bad", "doubtful", "none"] = param("bad", help="the quality at which a muscle is left out")
     trust_contacts: bool = param(False, help="count cycles although an alarm says that their contacts are wrong")
+    count_turns: bool = param(False, help="count strides of turning, too")
     left_out: tuple[str, ...] = param((), help='cycles and muscles to be left out: "17", "17 TA", "TA"')
     kept: tuple[str, ...] = param((), help="those to be used whatever their quality, named alike")
 
@@ -118,6 +124,8 @@ class CycleReview(Operator[ReviewState]):
         for port in ("contacts", "timing"):
             if port in specs and specs[port].dtype != ALARM:
                 raise InputError(port, specs[port].describe(), "alarms about contacts")
+        if "manner" in specs and "manner" not in (specs["manner"].dtype.names or ()):
+            raise InputError("manner", specs["manner"].describe(), "what operators.strides.stride_manner gives")
         n, names = spec.shape[1], list(spec.channels)
         for parameter in ("left_out", "kept"):
             for text in getattr(self, parameter):
@@ -128,7 +136,7 @@ class CycleReview(Operator[ReviewState]):
             np.zeros(REVISABLE, specs["closed"].dtype), np.zeros((REVISABLE, POINTS, n)),
             np.ones((REVISABLE, n), np.int64), PersonVerdicts.empty(REVISABLE, n), 0, ContactSpans.empty(),
             IN if self.trust_contacts else UNSAID, NEVER, FOREVER,
-            Belonging.of(spec), names,
+            Belonging.of(spec), names, np.zeros(REVISABLE, np.int64),
         )  # fmt: skip
         self.set_state(state, decision_s={"closed": 0.0, "judged": 0.0})
         units = ("ns", "ns", *(6 * [""]))
@@ -153,6 +161,8 @@ class CycleReview(Operator[ReviewState]):
                     s.pending, s.since = stamp, min(s.since, int(chunk.data["onset"][i]))
             elif port in ("contacts", "timing"):
                 self._alarm(stamp, chunk.data[i])
+            elif port == "manner":
+                self._walked(out, stamp, chunk.data[i])
             elif port == "annotations":
                 self._annotated(out, stamp, str(chunk.data["text"][i]).strip())
             elif port == "closed":
@@ -193,6 +203,13 @@ class CycleReview(Operator[ReviewState]):
         since = s.spans.note(row, s.limbs.names.index(subject) if s.limbs.names else 0)
         if since is not None:
             s.pending, s.since = stamp, min(s.since, since - 1)
+
+    def _walked(self, out: Reports, stamp: int, row: np.void) -> None:
+        """How a stride was walked is known; it may come before the stride itself."""
+        s, number = self.state, int(row["number"])
+        if str(row["manner"]) == TURNING and not (s.turns == number).any():
+            s.turns[number % REVISABLE] = number
+            self._again(out, stamp, [k for k in self._latest() if s.rows["number"][k] == number])
 
     def _again(self, out: Reports, stamp: int, cycles: list[int]) -> None:
         """Report those of these cycles again of which other muscles count now."""
@@ -246,7 +263,7 @@ class CycleReview(Operator[ReviewState]):
         flag, reason = s.windows.of(int(s.rows["onset"][k]), int(s.rows["end"][k]))
         worst = {"bad": 2, "doubtful": 1, "none": 3}[self.leave_out]
         verdicts = s.person.of(k)
-        good = (flag < worst) & (not self._wrong(k))
+        good = (flag < worst) & (not self._wrong(k)) & (not self._turns(k))
         used = np.where(verdicts == UNSAID, good, verdicts == IN) & s.limbs.mine(s.rows[k])
         return used.astype(np.int64), flag, reason
 
@@ -255,6 +272,10 @@ class CycleReview(Operator[ReviewState]):
         s, row = self.state, self.state.rows[k]
         limb = s.limbs.names.index(str(row["limb"])) if s.limbs.names else 0
         return s.trust != IN and s.spans.hold(limb, int(row["onset"]), int(row["end"]))
+
+    def _turns(self, k: int) -> bool:
+        """Whether a cycle is a stride of turning, which is not asked for."""
+        return not self.count_turns and bool((self.state.turns == self.state.rows["number"][k]).any())
 
     def _report(self, out: Reports, stamp: int, k: int) -> None:
         s = self.state
@@ -270,7 +291,9 @@ class CycleReview(Operator[ReviewState]):
         judged = judged[mine]
         if not used.any():
             by_hand, wrong = (s.person.cycle[k][mine] == OUT).all(), self._wrong(k)
-            row["rejected"] = "by hand" if by_hand else "contacts" if wrong else "quality"
+            row["rejected"] = (
+                "by hand" if by_hand else "contacts" if wrong else TURNING if self._turns(k) else "quality"
+            )
             out.append((stamp, row, None, judged))
         else:
             out.append((stamp, row, np.where(used.astype(bool), s.curves[k], np.nan), judged))

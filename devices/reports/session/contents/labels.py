@@ -53,6 +53,7 @@ REASONS = {
     "missing": "no valid sample",
     "quality": "no muscle's signal was good enough",
     "by hand": "left out by hand",
+    "turning": "turning",
     "contacts": "an alarm says that its contacts are wrong",
     "too short": "too short for a stride",
     "too long": "too long for a stride",
