@@ -303,5 +303,5 @@ SHOWN = (
         "late",
         "gaps",
     ),
-    *("lost", "error", "openings", "bytes", "behind_s", "dropped_chunks", "worker", "cpu_pct"),
+    *("lost", "error", "findings", "openings", "bytes", "behind_s", "dropped_chunks", "worker", "cpu_pct"),
 )

@@ -58,8 +58,9 @@ class StrideMannerState:
 def _follow_points(data: Samples, out: Samples, last: Samples) -> None:
     """Sums of turns `out` (n,) of the line between two points, data (n, 4): x, y of the left one, x, y of the right one."""
     for i in range(data.shape[0]):
-        angle = np.arctan2(data[i, 1] - data[i, 3], data[i, 0] - data[i, 2])
-        if np.isfinite(angle):
+        across, along = data[i, 1] - data[i, 3], data[i, 0] - data[i, 2]
+        if np.isfinite(across) and np.isfinite(along):
+            angle = np.arctan2(across, along)
             if np.isfinite(last[0]):
                 step = angle - last[0]
                 step -= 2.0 * np.pi * np.floor(step / (2.0 * np.pi) + 0.5)

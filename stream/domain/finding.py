@@ -23,7 +23,6 @@ KINDS = {
     "unit": "values cannot be in the declared unit",
     "rotation": "quaternions are not of length 1",
     "clock": "the device's time is not in the declared unit, or stands still",
-    "header": "the file's header contradicts its content, or breaks the format's rules",
 }
 """Every kind of finding, in words; docs/use/findings.md has the remedies."""
 

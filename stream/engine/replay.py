@@ -13,6 +13,7 @@ from typing import Any
 from numpy.lib.recfunctions import repack_fields
 
 from kinegraph.stream.chunk import FOREVER, NS, Chunk, empty
+from kinegraph.stream.domain.finding import recorded_findings
 from kinegraph.stream.engine.ahead import CompilationReport
 from kinegraph.stream.engine.flow.edge import Observer, Push
 from kinegraph.stream.engine.flow.promise import Inside
@@ -119,6 +120,7 @@ class Replay:
         self.graph.replays = recording.path.name
         self.graph.recorded_in = str(output or "")
         self.graph.imported = tuple((recording.header.get("imported") or {}).get("files", ()))
+        self.graph.findings = [finding.text for finding in recorded_findings(recording)]
         self._drops = recorded_drops(recording.log)
         self.pipeline = Pipeline(self.graph, speaking=speaking, bridge=self._bridge)
         self.sequence, self._arrival = -1, 0

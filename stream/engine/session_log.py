@@ -14,6 +14,7 @@ import structlog
 
 from kinegraph.stream.chunk import FOREVER, NEVER, Chunk, StreamSpec, utc
 from kinegraph.stream.compiler.fingerprint import fingerprint_of_class
+from kinegraph.stream.domain.finding import REPORT, Finding
 from kinegraph.stream.engine.flow.merge import Merge
 from kinegraph.stream.engine.flow.queues import DROPPED
 from kinegraph.stream.engine.pipeline import Pipeline
@@ -228,6 +229,8 @@ class SessionLog:
         """Write an event into the recording and the log."""
         if self.recorder:
             self.recorder.log(kind, self._clock.now(), **facts)
+        if kind == REPORT:
+            self._graph.findings.append(Finding.from_facts(facts).text)
         if kind in LOSSES:
             with self._losing:  # what a source's queue drops is reported on its own thread
                 self._losses.setdefault((kind, facts.get("stream") or facts["queue"]), Loss()).add(facts)

@@ -115,7 +115,7 @@ def _source_row(port: IngressPort, now: float) -> dict[str, Any]:
         "openings": supervisor.openings,
         "problems": dict(supervisor.problems) if first else {},
         "clock": dict(supervisor.clock_facts) if first else {},
-        "findings": [finding.text for finding in supervisor.findings] if first else [],
+        "findings": "; ".join(finding.text for finding in supervisor.findings) if first else "",
         "error": supervisor.error if supervisor.state == "failed" or not supervisor.ready else "",
     }
 

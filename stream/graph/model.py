@@ -160,6 +160,8 @@ class Graph:
     """The recording that replaces the sources; "" where they are live."""
     recorded_in: str = ""
     """The folder or file that this run is being recorded in; "" where it is not."""
+    findings: list[str] = field(default_factory=list)
+    """Claims of its sources that did not hold, in words, as they are found; in replay those of the recording."""
     imported: tuple[str, ...] = ()
     """The files that this recording was imported from; empty for a session."""
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import gzip
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
 
 from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.devices.formats.findings import Findings
@@ -222,10 +225,16 @@ a\\b
 def test_any_name_of_a_stream_and_a_channel_goes_through_every_command(
     name: str, kinegraph: Command, tmp_path: Path
 ) -> None:
+    through_every_command(name, name, kinegraph)
+
+
+def through_every_command(stream: str, channel: str, kinegraph: Command) -> None:
+    """From a recording to a graph, a check, a replay, a session and back through another format, in the present folder."""
     time = np.arange(300) * (NS // 100)
-    spec = StreamSpec((2,), np.dtype("f8"), 100.0, (name, "b"), ("uV",))
+    spec = StreamSpec((2,), np.dtype("f8"), 100.0, (channel, "b."), ("uV",))
     data = np.random.default_rng(0).normal(size=(300, 2))
-    write_recording(tmp_path / "o.mcap", [Series(name, spec, time, data)], {"graph": "", "session": {}}, chunk_s=0.02)
+    session: dict[str, Any] = {"graph": "", "session": {}}
+    write_recording(Path("o.mcap").absolute(), [Series(stream, spec, time, data)], session, chunk_s=0.02)
     for command in (
         ("dev", "new", "graph", "o.mcap", "-o", "g.yaml"),
         ("check", "g.yaml"),
@@ -235,9 +244,31 @@ def test_any_name_of_a_stream_and_a_channel_goes_through_every_command(
         ("files", "import", "e.xdf", "-o", "e.mcap"),
     ):
         code, _, errors = kinegraph(*command)
-        assert code == 0, (command, errors)
-    with Recording.open(tmp_path / "e.mcap") as recording:
-        assert [*recording.streams] == [name] and recording.stream(name).spec.channels == (name, "b")
+        assert code == 0, (command, stream, channel, errors)
+    with Recording.open(Path("e.mcap").absolute()) as recording:
+        assert [*recording.streams] == [stream] and recording.stream(stream).spec.channels == (channel, "b.")
+
+
+NAME = st.text(st.characters(exclude_categories=("Cc", "Cs", "Cf", "Zl", "Zp")), min_size=1, max_size=30).filter(
+    lambda name: name.strip() == name
+)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)
+@settings(
+    max_examples=25,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],
+)
+@given(NAME, NAME.filter(lambda name: name != "b."))
+def test_any_drawn_name_goes_through_every_command(
+    kinegraph: Command, tmp_path: Path, stream: str, channel: str
+) -> None:
+    for made in tmp_path.iterdir():
+        shutil.rmtree(made) if made.is_dir() else made.unlink()
+    through_every_command(stream, channel, kinegraph)
 
 
 @pytest.mark.parametrize("name", ["a:b", "P01 walk-2", "2026-03-01 Müller"])

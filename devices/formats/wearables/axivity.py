@@ -71,11 +71,13 @@ def read_cwa(path: Path, asked: Asked) -> Understood:
 def _unpacked(data: Array, count: int, axes: int, way: int) -> Samples:
     """Counts (count, axes) of a block."""
     if way == 2:
-        return np.frombuffer(data.tobytes(), "<i2", count * axes).reshape(count, axes).astype(np.float64)
+        whole: Samples = np.frombuffer(data.tobytes(), "<i2", count * axes).reshape(count, axes).astype(np.float64)
+        return whole
     words = np.frombuffer(data.tobytes(), "<u4", count).astype(np.int64)
     numbers = np.stack([words & 1023, words >> 10 & 1023, words >> 20 & 1023], axis=1)
     numbers = np.where(numbers > 511, numbers - 1024, numbers) << (words >> 30)[:, None]
-    return numbers.astype(np.float64)
+    made: Samples = numbers.astype(np.float64)
+    return made
 
 
 def _begins(blocks: Array, rate: float) -> Samples:

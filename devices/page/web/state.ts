@@ -52,7 +52,7 @@ function cell(key: string, value: string | number | undefined): HTMLElement {
 }
 
 function trouble(row: Row): HTMLElement {
-  const said = row["error"] || (["running", "ended", "stopped", undefined].includes(row["state"] as string) ? "" : row["state"]);
+  const said = row["error"] || (["running", "ended", "stopped", undefined].includes(row["state"] as string) ? row["findings"] : row["state"]);
   return make("td", { class: "bad" }, String(said ?? ""));
 }
 
@@ -129,7 +129,7 @@ export class GraphPanel extends Panel {
       const node = this.nodeOf(name);
       const text = this.rates.get(name) ?? this.rates.get(node);
       if (text) text.textContent = `${Number(row["rate_hz"] ?? 0).toFixed(1)}/s${row["p99_us"] ? ` · p99 ${Number(row["p99_us"]).toFixed(0)} µs` : ""}`;
-      this.boxes.get(node)?.classList.toggle("failed", Boolean(row["error"]) || row["state"] === "stale");
+      this.boxes.get(node)?.classList.toggle("failed", Boolean(row["error"] || row["findings"]) || row["state"] === "stale");
     }
     for (const [edge, rate] of Object.entries(this.state.edges ?? {})) {
       const text = this.flows.get(edge) ?? this.flows.get(edge.replace(/\.out$/, ""));
