@@ -17,6 +17,7 @@ PAUSE_NS = 5 * NS
 class BedDepths:
     """
     regions    (k, 4)           in blocks: row, column, rows, columns; no rows: not known
+    room       (rows, columns)  the frame while nobody was in bed, NaN where not known
     empty      (rows, columns)  the empty bed's depth, NaN where not known
     mattress   (rows, columns)  while it is not known, the plane that most of the bed lies in; NaN where not known
     flat       (k,)             whether nothing stood out of the mattress in the newest stretch, while the bed was not known
@@ -25,6 +26,7 @@ class BedDepths:
     """
 
     regions: Times
+    room: Samples
     empty: Samples
     mattress: Samples
     flat: Times
@@ -33,7 +35,7 @@ class BedDepths:
 
     @staticmethod
     def of(k: int, shape: tuple[int, ...]) -> BedDepths:
-        unknown = np.full(shape, np.nan), np.full(shape, np.nan)
+        unknown = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
         return BedDepths(
             np.zeros((k, 4), np.int64), *unknown, np.zeros(k, np.int64), Seconds.of(shape), np.full((k, 3), np.nan)
         )
@@ -45,7 +47,7 @@ class BedDepths:
 
     def forget(self) -> None:
         """The camera was moved: nothing of this is known any more."""
-        self.empty[:] = self.mattress[:] = np.nan
+        self.room[:] = self.empty[:] = self.mattress[:] = np.nan
         self.flat[:] = 0
         self.seconds.since = NEVER
 
@@ -101,5 +103,6 @@ class BedDepths:
 
     def learn(self, k: int) -> None:
         """The stretch shows the empty bed."""
-        part, depth = self.part(k), self.stretch(k)
+        part, depth, room = self.part(k), self.stretch(k), self.seconds.depth()
+        self.room[:] = np.where(np.isfinite(room), room, self.room)
         self.empty[part] = np.where(np.isfinite(depth), depth, self.empty[part])

@@ -109,8 +109,8 @@ def spectra(
             powers(straight, cosines, sines, out[k])
 
 
-def together(power: Samples, noise: float) -> Samples:
-    """The whitened spectra of those cells that breathe most, summed: (f,). 1 is a cell's own noise.
+def together(power: Samples, noise: float) -> tuple[Samples, Times]:
+    """The whitened spectra of those cells that breathe most, summed: (f,), and which they are. 1 is a cell's own noise.
 
     power  (cells, f); noise: a power that no cell's noise is below
 
@@ -122,9 +122,9 @@ def together(power: Samples, noise: float) -> Samples:
         colour = np.quantile(white, QUIET, axis=0)
         colour = np.convolve(np.pad(colour, 2, mode="edge"), np.full(5, 0.2), mode="valid")
         white = white * (colour.mean() / np.maximum(colour, 0.05 * colour.mean()))
-    best = np.argsort(-white.max(axis=1), kind="stable")[:BEST]
-    summed: Samples = white[np.sort(best)].sum(axis=0)
-    return summed
+    best = np.sort(np.argsort(-white.max(axis=1), kind="stable")[:BEST])
+    summed: Samples = white[best].sum(axis=0)
+    return summed, best
 
 
 def peak(power: Samples, rates: Samples, lowest: float, highest: float) -> tuple[float, float]:

@@ -28,6 +28,24 @@ NOISY = 6.0
 FLICKER = 0.01
 """This share of the cells, and at least one, may jump where nothing moves: edges, and pixels that are measured now and then."""
 LEAST_CELLS = 6
+ERROR, FLOOR = 60.0, 0.05
+"""The rate's interval, from rooms of chosen seeds: this over the window's length (s), by how far the peak is above the noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellBreath:
+    """
+    rate, confidence   per minute; 0 to 1
+    moved              whether anything moved in the region, so that no rate is looked for
+    cells              numbers of those that breathe most
+    error              half the width of the rate's 95 % interval
+    """
+
+    rate: float
+    confidence: float
+    moved: bool
+    cells: Times
+    error: float
 
 
 @dataclass(slots=True)
@@ -99,8 +117,8 @@ class BreathCells:
     def forget(self) -> None:
         self.ticks[:] = np.nan
 
-    def breaths(self, begin: int, regions: Times) -> list[tuple[float, float, bool]]:
-        """Of every region (k, 4) of blocks, in the window that begins at `begin` (ns): rate, confidence, and whether anything moved."""
+    def breaths(self, begin: int, regions: Times) -> list[CellBreath]:
+        """The breath of every region (k, 4) of blocks in the window that begins at `begin` (ns)."""
         first = begin // self.tick_ns
         stop = first + len(self.ticks)
         self.close(stop)
@@ -112,21 +130,24 @@ class BreathCells:
         edges = steep(depth.reshape(-1, self.across), EDGE_MM).ravel()
         return [self._breath(region, varying, edges, first) for region in regions]
 
-    def _breath(self, region: Times, varying: Samples, edges: Array, first: int) -> tuple[float, float, bool]:
+    def _breath(self, region: Times, varying: Samples, edges: Array, first: int) -> CellBreath:
         cells = self._cells(region)
         cells = cells[varying[0, cells] >= 0.5]
         if len(cells) < LEAST_CELLS:
-            return math.nan, 0.0, False
+            return CellBreath(math.nan, 0.0, False, cells[:0], math.nan)
         usual = NOISY * 1.4826 * varying[2, cells]
         fast = (varying[1, cells] > np.maximum(self.still_mm, usual)) & ~edges[cells]
         if fast.sum() > max(1.0, FLICKER * len(cells)):
-            return math.nan, 0.0, True
+            return CellBreath(math.nan, 0.0, True, cells[:0], math.nan)
         power = np.empty((len(cells), len(self.rates)))
         spectra(self.ticks, first, self.segments, cells, self.cosines, self.sines, power)
         noise = NOISE_MM**2 * 0.375 * self.cosines.shape[1] * self.segments
-        summed = together(power, noise)
+        summed, best = together(power, noise)
         rate, height = peak(summed, self.rates, LOWEST, HIGHEST)
-        return rate, height / (height + SURE * min(len(cells), BEST) / BEST), False
+        sure = height / (height + SURE * min(len(cells), BEST) / BEST)
+        window_s = len(self.ticks) * self.tick_ns / NS
+        error = ERROR / window_s * math.sqrt(FLOOR**2 + 1 / max(height, 1.0))
+        return CellBreath(rate, sure, False, cells[best], error)
 
     def _cells(self, region: Times) -> Times:
         """The numbers of the cells whose middle lies in a region of blocks."""

@@ -64,7 +64,8 @@ class BreathWatch:
         """The window that ends at `end`, if one does: whether it was looked at."""
         if self.cells is None or self.window == NEVER or end != self.window + WINDOW_NS:
             return False
-        for k, (_, confidence, moved) in enumerate(self.cells.breaths(self.window, regions)):
+        for k, breath in enumerate(self.cells.breaths(self.window, regions)):
+            confidence, moved = breath.confidence, breath.moved
             breathes = confidence >= CONFIDENT
             if breathes:
                 self.seen[k] = end

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
 
 from kinegraph.operators.bed.bed_events import BED
 from kinegraph.operators.bed.breath_cells import LEAST_CELLS, LOWEST, BreathCells
+from kinegraph.operators.bed.breath_wave import BreathWave
 from kinegraph.operators.bed.frames.regions import REGION, block_of, region_spec, sleepers_of, take
-from kinegraph.stream.chunk import NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times, add_lost
 from kinegraph.stream.data.require import regular
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.operator import Case, Input, Operator, grid
@@ -26,6 +28,11 @@ BREATH = np.dtype(
         ("rate", "<f8"),
         ("confidence", "<f8"),
         ("coverage", "<f8"),
+        ("error", "<f8"),
+        ("amplitude", "<f8"),
+        ("regularity", "<f8"),
+        ("pauses", "<f8"),
+        ("paused_s", "<f8"),
     ]
 )
 """A sleeper's breath in an epoch; see `Breathing`."""
@@ -33,17 +40,20 @@ NIGHT_NS = 4 * 3600 * NS
 """After this long out of bed, coverage is counted from zero."""
 
 Rows = list[tuple[Any, ...]]
+Waves = list[tuple[int, int, Samples]]
+"""Ticks, how many were missed before each, and what the chests (k,) do in it."""
 
 
 @dataclass(slots=True)
 class BreathingState:
     """
     regions    (k, 4)  in blocks; no rows: not known
-    cells      the newest depths of the frame's cells
+    cells      the newest depths of the frame's cells; wave: the chest's movement in them
     epoch      start of the open epoch (ns); NEVER: none
     there, changed  (k,) whether each sleeper is in bed (with `bed`; else always), and when that became so or ended (ns)
     spoilt     (k,)  whether a sleeper was out of bed at any time in the open epoch
     epochs, known  (k,)  epochs in bed of this night, and those with a rate
+    emitted    number of the newest tick whose wave was emitted; NEVER: none
     lost       what the next emission says is missing before it
     """
 
@@ -52,12 +62,14 @@ class BreathingState:
     epoch_ns: int
     regions: Times
     cells: BreathCells
+    wave: BreathWave
     epoch: int
     there: Times
     changed: Times
     spoilt: Times
     epochs: Times
     known: Times
+    emitted: int
     lost: int
 
 
@@ -66,15 +78,23 @@ class Breathing(Operator[BreathingState]):
     """Mean depths of blocks in; per epoch and sleeper an event with the breath's rate, as far as it can be seen.
 
     rate        breaths per minute in the epoch; NaN where it is not known: the sleeper moved, was not in bed (with `bed` connected) or not
-                seen, or the confidence is below `min_confidence`
+                seen, a pause is in it, or the confidence is below `min_confidence`
     confidence  0 to 1: how far the chest stands out of noise; noise alone seldom reaches one half
     coverage    share of the night's epochs in bed, up to this one, that have a rate; a night ends with 4 h out of bed
+    error       half the width of the rate's 95 % interval (1/min)
+    amplitude   lift of the chest's cells on average, from the 5th to the 95th percentile of the wave (mm)
+    regularity  0 to 1: how much of the wave's power is at the rate and at its double
+    pauses      how many times, ended in this epoch, no effort was seen for at least 10 s, and `paused_s`: how long in all; NaN while it is
+                not known how far the chest usually moves. It is no apnoea: effort under a thick blanket may be too small to be seen
+
+    wave  (sleepers,) mm, 4 times a second or with every frame: how far the chest's cells have risen above their mean of some seconds, once
+          a first rate has shown where they are, to the epoch's end in which the sleeper leaves. Movement is in it, too
 
     Cells are looked at 4 times a second, or with every frame of a slower camera. Of each the spectrum is taken (no straight line, Hann
     window, pieces of about 30 s), and divided by its own median and by the colour that most cells share; the chest is those 12 cells of
     the region with the highest peaks, and the rate, from 6 to 45 per minute, is where they are highest together. An
-    epoch in which a cell of the region goes faster than `still_mm_s`, and than its noise, has movement, and no rate. It finds no pauses
-    of breath, and raises no alarm. No delay: the event comes with the epoch's end.
+    epoch in which a cell of the region goes faster than `still_mm_s`, and than its noise, has movement, and no rate. It raises no alarm.
+    No delay: the event comes with the epoch's end.
 
     >>> given, made = tried(Breathing)
     >>> made["sleeper"].tolist()[:2], made["rate"].round(1)[:4]
@@ -82,6 +102,7 @@ class Breathing(Operator[BreathingState]):
     """
 
     inputs = {"regions": Input(), "bed": Input(optional=True), "blocks": Input()}
+    outputs: ClassVar[tuple[str, ...]] = ("out", "wave")
 
     epoch_s: float = param(30.0, least=10.0, most=300.0, help="length of an epoch, at whole multiples since 1970")
     cell_blocks: int = param(0, least=0, help="side of a cell in blocks; 0: about 27 cells in a row of the frame")
@@ -103,36 +124,44 @@ class Breathing(Operator[BreathingState]):
             raise ParameterError("cell_blocks", self.cell_blocks, f"smaller: the frame has only {count} such cells")
         self.set_state(
             BreathingState(
-                list(sleepers), block, round(self.epoch_s * NS), np.zeros((k, 4), np.int64), cells, NEVER,
+                list(sleepers), block, round(self.epoch_s * NS), np.zeros((k, 4), np.int64), cells,
+                BreathWave.of(k, count, len(cells.ticks)), NEVER,
                 np.full(k, int("bed" not in specs)), np.full(k, NEVER), np.zeros(k, np.int64), np.zeros(k, np.int64),
-                np.zeros(k, np.int64), 0,
+                np.zeros(k, np.int64), NEVER, 0,
             ),
             decision_s={"out": 0.0},
         )  # fmt: skip
         meta = {**spec.meta, "sleepers": list(sleepers), "epoch_s": self.epoch_s}
-        return {"out": StreamSpec((), BREATH, units=("ns", "ns", "", "1/min", "", ""), meta=meta)}
+        units = ("ns", "ns", "", "1/min", "", "", "1/min", "mm", "", "", "s")
+        own = {**spec.meta, "sleepers": list(sleepers)}
+        settling = max(s.settling_s for s in specs.values())
+        wave = StreamSpec(
+            (k,), rate_hz=NS / cells.tick_ns, channels=sleepers, units=("mm",), meta=own, settling_s=settling
+        )
+        return {"out": StreamSpec((), BREATH, units=units, meta=meta), "wave": wave}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
         emitted: list[tuple[str, Chunk]] = []
         made: Rows = []
+        waves: Waves = []
         if port == "blocks":
             if chunk.lost:
                 before = int(chunk.time[0]) - 1
-                self._pass(before, made)
+                self._pass(before, made, waves)
                 emitted.append(("out", self._chunk(made, before)))
                 made, s.lost = [], add_lost(s.lost, chunk.lost)
             for i, time in enumerate(chunk.time.tolist()):
-                self._frame(chunk.data[i], time, made)
+                self._frame(chunk.data[i], time, made, waves)
         elif len(chunk.time):
             for event, time in zip(chunk.data, chunk.time.tolist(), strict=True):
-                self._pass(time - 1, made)
+                self._pass(time - 1, made, waves)
                 if port == "regions":
                     take(chunk.data, tuple(s.sleepers), s.regions, s.block)
                 else:
                     self._moved_to(str(event["sleeper"]), str(event["state"]), time)
-        self._pass(chunk.until, made)
-        return [*emitted, ("out", self._chunk(made, chunk.until))]
+        self._pass(chunk.until, made, waves)
+        return [*emitted, ("out", self._chunk(made, chunk.until)), *self._waves(waves, chunk.until)]
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
@@ -157,14 +186,17 @@ class Breathing(Operator[BreathingState]):
             Case(cls(epoch_s=12.5, cell_blocks=2), without, least=6),
         ]
 
-    def _frame(self, blocks: Samples, time: int, made: Rows) -> None:
+    def _frame(self, blocks: Samples, time: int, made: Rows, waves: Waves) -> None:
         s = self.state
-        self._pass(time - 1, made)
+        self._pass(time - 1, made, waves)
         if s.epoch == NEVER:
             s.epoch = time // s.epoch_ns * s.epoch_ns
             s.cells.forget()
             s.spoilt[:] = 1 - s.there
+        tick = s.cells.tick
         s.cells.add(blocks, time)
+        if tick not in (NEVER, s.cells.tick):
+            self._ticked(tick, waves)
 
     def _moved_to(self, sleeper: str, state: str, time: int) -> None:
         s = self.state
@@ -178,21 +210,62 @@ class Breathing(Operator[BreathingState]):
         s.there[k] = there
         s.spoilt[k] = s.spoilt[k] or not there
 
-    def _pass(self, until: int, made: Rows) -> None:
+    def _pass(self, until: int, made: Rows, waves: Waves) -> None:
         """Close the epoch that is over by `until`."""
         s = self.state
         end = s.epoch + s.epoch_ns
         if s.epoch == NEVER or until < end - 1:
             return
-        for k, (rate, confidence, _) in enumerate(s.cells.breaths(s.epoch, s.regions)):
-            if s.spoilt[k]:
-                rate, confidence = math.nan, 0.0
-            rate = rate if confidence >= self.min_confidence else math.nan
+        tick, tick_s = s.cells.tick, s.cells.tick_ns / NS
+        breaths = s.cells.breaths(s.epoch, s.regions)
+        if tick != NEVER:
+            self._ticked(tick, waves)
+        for k, breath in enumerate(breaths):
+            seen = not s.spoilt[k] and breath.confidence >= self.min_confidence and not s.wave.halts(k, tick_s)
+            rate, confidence = breath.rate if seen else math.nan, 0.0 if s.spoilt[k] else breath.confidence
+            amplitude, regular = s.wave.sized(k, rate, tick_s)
+            if seen:
+                first = s.epoch // s.cells.tick_ns
+                order = (first + np.arange(len(s.cells.ticks))) % len(s.cells.ticks)
+                s.wave.learn(k, s.cells.ticks[order][:, breath.cells], breath.cells, tick_s)
+            elif not s.there[k]:
+                s.wave.forget(k)
             s.epochs[k] += not s.spoilt[k]
             s.known[k] += rate == rate
             coverage = float(s.known[k] / s.epochs[k]) if s.epochs[k] else 0.0
-            made.append((s.epoch, end, s.sleepers[k], rate, confidence, coverage))
+            paused = (float(s.wave.pauses[k]), float(s.wave.paused[k])) if s.wave.usual[k] else (math.nan, math.nan)
+            error = breath.error if seen else math.nan
+            made.append((s.epoch, end, s.sleepers[k], rate, confidence, coverage, error, amplitude, regular, *paused))
+        s.wave.pauses[:], s.wave.paused[:] = 0, 0.0
         s.epoch = NEVER
+
+    def _ticked(self, tick: int, waves: Waves) -> None:
+        """A tick is over: its wave."""
+        s = self.state
+        if s.emitted != NEVER and tick <= s.emitted:
+            return
+        depth = s.cells.ticks[tick % len(s.cells.ticks)]
+        wave = s.wave.add(depth, tick, s.cells.tick_ns / NS)
+        waves.append((tick, 0 if s.emitted == NEVER else tick - s.emitted - 1, wave))
+        s.emitted = tick
+
+    def _waves(self, waves: Waves, until: int) -> list[tuple[str, Chunk]]:
+        """Chunks of the wave, cut where ticks are missing; promised up to the tick that is open."""
+        s, tick_ns = self.state, self.state.cells.tick_ns
+        half = tick_ns // 2
+        promise = until
+        if NEVER < until < FOREVER:
+            following = s.cells.tick if s.cells.tick != NEVER else max((until + 1) // tick_ns, s.emitted + 1)
+            promise = min(until, following * tick_ns + half - 1)
+        cuts = [i for i, (_, lost, _) in enumerate(waves) if lost and i]
+        made = []
+        for a, b in pairwise([0, *cuts, len(waves)]):
+            part = waves[a:b]
+            stamps = np.array([tick * tick_ns + half for tick, *_ in part], np.int64)
+            data = np.array([wave for *_, wave in part]).reshape(len(part), len(s.sleepers))
+            end = promise if b == len(waves) else int(stamps[-1])
+            made.append(("wave", Chunk(stamps, data, end, part[0][1] if part else 0)))
+        return made
 
     def _chunk(self, made: Rows, until: int) -> Chunk:
         s = self.state

@@ -6,23 +6,33 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import structlog
+from numpy.typing import NDArray
 
 from kinegraph.operators.bed.bed_depths import BedDepths
 from kinegraph.operators.bed.bed_events import IN, NAMES, OUT, UNKNOWN
 from kinegraph.operators.bed.bodies import CROWD, CROWD_S, SUSPECT_S, Bodies, share_high
 from kinegraph.operators.bed.breath_watch import WINDOW_NS, BreathWatch
+from kinegraph.operators.bed.frames.regions import take
 from kinegraph.operators.bed.mattress import somebody
+from kinegraph.operators.bed.region_fit import MIN_BLOCKS, MIN_INSIDE, body_at, is_same, suggested, within
 from kinegraph.operators.bed.visitor import RoamingBody
-from kinegraph.stream.chunk import NEVER, NS, Times
+from kinegraph.stream.chunk import NEVER, NS, Array, Times
 
 AGAIN = 0.7
 """Out of bed below this share of what makes in bed."""
 BLIND_S = 300.0
 """While the empty bed is not known: without movement for this long is an empty bed."""
-DOUBTS = ("", "still", "region", "camera", "dark")
-STILL, ODD, CAMERA, DARK = 1, 2, 3, 4
+DOUBTS = ("", "still", "region", "camera", "dark", "region")
+STILL, ODD, CAMERA, DARK, MISFIT = 1, 2, 3, 4, 5
+CONFIRMED = 2
+"""A region does not fit if it is so in this many stretches after each other, of somebody who lies where he lay."""
+MIN_SHARE = 0.05
+"""Who covers less of a region that is too large may be a pet."""
 ALIVE = 0.005
 """This much of a region must move (2 blocks at least) to be somebody."""
+
+log = structlog.get_logger(__name__)
 
 Rows = list[tuple[int, tuple[Any, ...]]]
 """Events, and when each was decided."""
@@ -55,6 +65,10 @@ class Occupancy:
     watch                       whether breath is seen
     bodies, visitor             one in a region, or two; and whether something small walks about
     reported   (k,)             whether the newest event says `body`
+    found      (k,)             whether the region was found, not set
+    body       (rows, columns)  who lay there in the stretch before; misfits: for how many stretches the regions have not held them; -1:
+                                they do, and this is not asked again
+    block      pixels
     """
 
     sleepers: list[str]
@@ -73,10 +87,14 @@ class Occupancy:
     bodies: Bodies
     visitor: RoamingBody
     reported: Times
+    found: Times
+    body: NDArray[np.bool_]
+    misfits: int
+    block: int
 
     @staticmethod
     def unknown(
-        sleepers: tuple[str, ...], shape: tuple[int, ...], rate_hz: float, limits: OccupancyLimits
+        sleepers: tuple[str, ...], shape: tuple[int, ...], rate_hz: float, limits: OccupancyLimits, block: int
     ) -> Occupancy:
         """The state before the first frame: unknown for all sleepers. `shape`: (rows, columns) of the frames in blocks."""
         k = len(sleepers)
@@ -84,6 +102,7 @@ class Occupancy:
         return Occupancy(
             list(sleepers), limits, BedDepths.of(k, shape), state, wanted, np.full(k, NEVER), np.full(k, NEVER), still, lay, doubt, alive,
             was_in, BreathWatch.of(k, shape, rate_hz), Bodies.of(k, shape), RoamingBody.of(k, shape), reported,
+            np.zeros(k, np.int64), np.zeros(shape, np.bool_), 0, block,
         )  # fmt: skip
 
     def end_second(self, end: int, events: Rows) -> None:
@@ -98,7 +117,20 @@ class Occupancy:
         if end - self.beds.seconds.since >= self.limits.learn_s * NS:
             for k in range(len(self.sleepers)):
                 self._judge_stretch(k, end, events)
+            if self.misfits >= 0:
+                self._judge_fit(end, events)
             self.beds.seconds.since = NEVER
+
+    def take_regions(self, rows: Array, stamp: int, events: Rows) -> None:
+        """The regions have changed; where no bed was found, that is why nothing is known."""
+        self.misfits = 0
+        take(rows, tuple(self.sleepers), self.beds.regions, self.block)
+        for row in rows:
+            k = self.sleepers.index(str(row["sleeper"]))
+            self.found[k] = int(row["found"])
+            self.doubt[k] *= int(self.doubt[k] != MISFIT)
+            if row["found"] and not row["rows"]:
+                self._become(k, UNKNOWN, stamp, stamp, events, "region")
 
     def look(self, what: str, onset: int, stamp: int, events: Rows) -> None:
         """The view has become another one."""
@@ -140,7 +172,7 @@ class Occupancy:
             says = OUT
         self._count_bodies(k, float(raised), end, events)
         doubt = int(self.doubt[k])
-        if doubt in (CAMERA, DARK) or (doubt == STILL and says == IN) or (doubt == ODD and says == OUT):
+        if doubt in (CAMERA, DARK, MISFIT) or (doubt == STILL and says == IN) or (doubt == ODD and says == OUT):
             says = UNKNOWN
         if says == self.state[k] or says == UNKNOWN:
             self.wanted[k] = self.state[k]
@@ -205,7 +237,7 @@ class Occupancy:
         if moving < 0 or beds.seen_now[k, 2] < limits.min_valid:
             self.still[k] = 0
             return
-        if self.doubt[k] == DARK:
+        if self.doubt[k] in (DARK, MISFIT):
             return
         self.still[k] *= lies or not self.lay[k]  # what was raised has gone unseen
         self.lay[k] = int(lies)
@@ -249,6 +281,42 @@ class Occupancy:
         elif limits.odd_s and self.alive[k] * limits.learn_s >= limits.odd_s:
             self.doubt[k] = ODD
             self._become(k, UNKNOWN, end - round(int(self.alive[k]) * limits.learn_s * NS), end - 1, events, "region")
+
+    def _judge_fit(self, end: int, events: Rows) -> None:
+        """Whether the regions hold who lies there, as a setup check asks; until they once did."""
+        beds, limits = self.beds, self.limits
+        regions = [tuple(region) for region in beds.regions.tolist()]
+        inside = within(regions, self.body.shape)
+        with np.errstate(invalid="ignore"):
+            raised = beds.room - beds.seconds.depth() > limits.rise_mm
+        body = body_at(raised, inside)
+        same, held = is_same(body, self.body), float((body & inside).sum() / max(1, body.sum()))
+        self.body = body
+        if body.sum() < MIN_BLOCKS:
+            self.doubt[self.doubt == MISFIT] = 0
+        there = self.state == IN
+        small = [
+            k for k in range(len(self.sleepers)) if self.alive[k] > CONFIRMED and body[beds.part(k)].mean() > MIN_SHARE
+        ]
+        if not same or not (there.any() or small):
+            self.misfits = 0
+            return
+        if held >= MIN_INSIDE and there.any():
+            self.misfits = -1
+            return
+        self.misfits += 1
+        if self.misfits < CONFIRMED or not (small or self.found.all()):
+            return
+        doubt = MISFIT if held < MIN_INSIDE else ODD
+        log.warning(
+            f"the region holds {held:.0%} of who lies there: it is too small, or elsewhere"
+            if doubt == MISFIT
+            else "who lies there covers too little of the region: it is too large",
+            hint=suggested({"": body}, self.block),
+        )
+        for k in np.flatnonzero(there).tolist() if there.any() else small:
+            self.doubt[k] = doubt
+            self._become(k, UNKNOWN, end - round(CONFIRMED * limits.learn_s * NS), end - 1, events, "region")
 
     def _become(
         self, k: int, state: int, since: int, stamp: int, events: Rows, why: str = "", *, keep: bool = False

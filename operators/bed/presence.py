@@ -10,7 +10,7 @@ import numpy as np
 
 from kinegraph.operators.bed.bed_events import BED
 from kinegraph.operators.bed.bodies import CROWD_S
-from kinegraph.operators.bed.frames.regions import REGION, block_of, region_spec, sleepers_of, take
+from kinegraph.operators.bed.frames.regions import REGION, block_of, region_spec, sleepers_of
 from kinegraph.operators.bed.frames.seconds import add
 from kinegraph.operators.bed.frames.view import VIEW, check_view
 from kinegraph.operators.bed.occupancy import BLIND_S, Occupancy, OccupancyLimits, Rows
@@ -23,7 +23,6 @@ from kinegraph.stream.params import param
 class PresenceState:
     """`lost`: what the next chunks of `out` and `height` say is missing before them."""
 
-    block: int
     occupancy: Occupancy
     lost: Times
 
@@ -47,9 +46,10 @@ class Presence(Operator[PresenceState]):
 
     What cannot be judged is `unknown`, and `why` says so: no breath and no movement for `unsure_min`, though the bed is high (a heap that
     was left behind, or breath that is not seen), or from the start, where the bed was not seen empty and something lies across the middle
-    of its length: then movement, or a flat bed, decides; movement for `odd_min` without a break where
-    the bed is empty (a region that is too large or elsewhere); the camera was moved or sees nothing (`view`). After a move the empty bed is
-    learned again. `in` with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two. So it
+    of its length: then movement, or a flat bed, decides; movement for `odd_min` without a break where the bed is empty (a region that is
+    too large or elsewhere); a found region that holds less than three quarters of the first who lies there for 3 min, or any that they
+    cover too little of; no bed was found; the camera was moved or sees nothing (`view`). After a move the empty bed is learned again. `in`
+    with `body`: 1.4 times as much is raised, for 30 s, as in the sleeper's first five minutes: there are two. So it
     is reported after 3 s already, and withdrawn where it does not last. Within these five minutes the seconds so far count, and how high
     the region is as well: who sits and then lies down, or pulls a blanket up, stays one; a second body within the first minute is not
     noticed. While the empty bed is not known again, what is raised since the sleeper was seen again counts; who came before that is not
@@ -89,7 +89,8 @@ class Presence(Operator[PresenceState]):
         longest_s = max(limits.vacant_s, limits.unsure_s, limits.odd_s, BLIND_S, CROWD_S, self.hold_s, self.unseen_s)
         self.set_state(
             PresenceState(
-                block, Occupancy.unknown(sleepers, spec.shape, spec.rate_hz or 0.0, limits), np.zeros(2, np.int64)
+                Occupancy.unknown(sleepers, spec.shape, spec.rate_hz or 0.0, limits, block),
+                np.zeros(2, np.int64),
             ),
             delay_s=1.0,
             decision_s={"out": longest_s + self.learn_s + 1},
@@ -123,7 +124,7 @@ class Presence(Operator[PresenceState]):
                 s.occupancy.look(str(event["what"]), int(event["onset"]), stamp, events)
         elif len(chunk.time):
             self._pass(int(chunk.time[0]) - 1, events, heights)
-            take(chunk.data, tuple(s.occupancy.sleepers), s.occupancy.beds.regions, s.block)
+            s.occupancy.take_regions(chunk.data, int(chunk.time[-1]), events)
         self._pass(chunk.until, events, heights)
         return [*emitted, *self._chunks(events, heights, chunk.until)]
 

@@ -1,4 +1,4 @@
-"""EDF+ as bytes: signals with one number per record, and annotations; all arithmetic of records in whole numbers.
+"""EDF+ as bytes: signals with one number or more per record, and annotations; all arithmetic of records in whole numbers.
 
 After B. Kemp and J. Olivan, European data format 'plus', Clin. Neurophysiol. 114, 2003. A library that counts records by dividing
 floating-point seconds refuses some lengths of a night; here a length is a number of records, and a time a number of nanoseconds.
@@ -31,7 +31,7 @@ class Head:
 
 @dataclass(frozen=True, slots=True)
 class EdfSignal:
-    """A number per record: its name, its unit, between which values it lies, and the values (records,)."""
+    """Its name, its unit, between which values it lies, and the values: (records,), or (records, n) for n in each."""
 
     label: str
     unit: str
@@ -50,7 +50,7 @@ class Note:
 
 
 def encode(head: Head, record_ns: int, signals: Sequence[EdfSignal], notes: Iterable[Note]) -> bytes:
-    """The file: at least one signal, all of the same length. Raises DeviceError where EDF cannot say so."""
+    """The file: at least one signal, all of as many records. Raises DeviceError where EDF cannot say so."""
     records = len(signals[0].values)
     result = _annotations(records, record_ns, sorted(notes, key=lambda n: (n.onset, n.length or -1, n.text)))
     size = -(-max(map(len, result)) // 2)
@@ -82,7 +82,7 @@ def _header(head: Head, record_ns: int, records: int, signals: Sequence[EdfSigna
         (8, [s.unit for s in signals], ""), (8, [_number(s.low) for s in signals], str(LOWEST)),
         (8, [_number(s.high) for s in signals], str(HIGHEST)), (8, [str(LOWEST)] * len(signals), str(LOWEST)),
         (8, [str(HIGHEST)] * len(signals), str(HIGHEST)), (80, [""] * len(signals), ""),
-        (8, ["1"] * len(signals), str(size)), (32, [""] * len(signals), ""),
+        (8, [str(s.values[0].size) for s in signals], str(size)), (32, [""] * len(signals), ""),
     )  # fmt: skip
     text = b"".join(_field(value, wide) for value, wide in fixed)
     return text + b"".join(_field(value, wide) for wide, values, last in columns for value in [*values, last])

@@ -31,10 +31,11 @@ DRAWN = ("report.html", "report.png", "hypnogram.edf")
 VERSION = 1
 COLUMNS = (
     "onset", "end", "state", "provisional", "rescored", "score", "activity", "bed", "moved_s", "seen", "crosstalk", "breaths_per_min",
-    "confidence", "cause", "mover", "weight", "adds", "rule", "why",
+    "confidence", "rate_error", "lift_mm", "regularity", "pauses", "paused_s", "wave", "cause", "mover", "weight", "adds", "rule", "why",
 )  # fmt: skip
-TEXTS = ("state", "provisional", "bed", "why", "cause", "mover", "rule")
-ADDED = ("why", "cause", "mover", "weight", "adds", "rule")
+TEXTS = ("state", "provisional", "bed", "why", "cause", "mover", "rule", "wave")
+BREATHS = ("rate_error", "lift_mm", "regularity", "pauses", "paused_s", "wave")
+ADDED = ("why", "cause", "mover", "weight", "adds", "rule", *BREATHS)
 """Columns that the logs of older versions lack."""
 NOON_H = 12
 

@@ -27,6 +27,7 @@ def write_edf(path: Path, facts: Facts, epochs: LoggedEpochs) -> None:
     head = Head(_word(str(facts.session.get("subject", "X"))), "kinegraph", clock(begin, night_zone(facts)))
     notes = [Note(max(0, t - begin), length, text) for t, length, text in _notes(facts, epochs) if t >= begin - step]
     signals = [_signal(name, unit, epochs.numbers[of], place) for name, of, unit in SIGNALS if _known(epochs, of)]
+    signals += _wave(epochs, place)
     content = encode(head, step, signals, notes)
     write_complete(path, content)
 
@@ -34,7 +35,11 @@ def write_edf(path: Path, facts: Facts, epochs: LoggedEpochs) -> None:
 SIGNALS = (
     ("Activity", "activity", ""),
     ("Breathing rate", "breaths_per_min", "/min"),
+    ("Chest lift", "lift_mm", "mm"),
+    ("No effort seen", "paused_s", "s"),
 )
+WAVE_MM = 32.0
+"""The chest's movement is written up to this; its negative is written where it is not known."""
 
 
 def _notes(facts: Facts, epochs: LoggedEpochs) -> list[tuple[int, int | None, str]]:
@@ -51,7 +56,7 @@ def _notes(facts: Facts, epochs: LoggedEpochs) -> list[tuple[int, int | None, st
 
 def _known(epochs: LoggedEpochs, name: str) -> bool:
     """Whether a signal is written: anything is known of it, or it is the one that is always there."""
-    return name == "activity" or bool(np.isfinite(epochs.numbers[name]).any())
+    return name == "activity" or bool(np.isfinite(epochs.numbers.get(name, np.empty(0))).any())
 
 
 def _signal(name: str, unit: str, values: Samples, place: np.ndarray) -> EdfSignal:
@@ -59,6 +64,18 @@ def _signal(name: str, unit: str, values: Samples, place: np.ndarray) -> EdfSign
     row = np.full(int(place[-1]) + 1, NOT_SEEN)
     row[place] = np.where(np.isfinite(values), values, NOT_SEEN)
     return EdfSignal(name, unit, NOT_SEEN, max(1.0, math.ceil(float(row.max()))), row)
+
+
+def _wave(epochs: LoggedEpochs, place: np.ndarray) -> list[EdfSignal]:
+    """The chest's movement, as many numbers in every epoch; no signal where nothing is known of it."""
+    rows = [text.split() for text in epochs.texts.get("wave", np.empty(0, "U1")).tolist()]
+    if not any(value != "x" for row in rows for value in row):
+        return []
+    values = np.full((int(place[-1]) + 1, max(map(len, rows))), -WAVE_MM)
+    for k, row in zip(place.tolist(), rows, strict=True):
+        known = np.array([float(value) / 100 if value != "x" else np.nan for value in row])
+        values[k, : len(row)] = np.where(np.isfinite(known), np.clip(known, 0.1 - WAVE_MM, WAVE_MM), -WAVE_MM)
+    return [EdfSignal("Chest movement", "mm", -WAVE_MM, WAVE_MM, values)]
 
 
 def _word(text: str) -> str:

@@ -18,7 +18,7 @@ from kinegraph.devices.reports.night.log_state import LogState
 from kinegraph.devices.reports.night.night_writer import APART_NS, NightWriter
 from kinegraph.devices.reports.night.runtime import LogRuntime
 from kinegraph.devices.reports.session.contents.labels import settings, versions
-from kinegraph.stream.chunk import Array, Chunk, Specs
+from kinegraph.stream.chunk import NS, Array, Chunk, Specs
 from kinegraph.stream.data.state import pack
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.graph import Graph
@@ -43,7 +43,7 @@ class NightLog(Outlet[LogState, LogRuntime]):
     nights     of `operators.sleep.statistics.SleepStatistics`: a row closes the night, and its numbers stand in the report
     bed        of `operators.bed.presence.Presence`: bed exits
     seen       of `operators.bed.activity.Activity` (epochs): how much of each epoch was seen, and whether anyone was in bed
-    breathing  of `operators.bed.breathing.Breathing`
+    breathing  of `operators.bed.breathing.Breathing`; wave: its output wave, the movement of the chest
     map        of `operators.bed.night_map.NightMap`
     lights     a button or switch: when the lights went off and on
     view       of `operators.bed.frames.view.View`: when the camera was moved
@@ -51,13 +51,15 @@ class NightLog(Outlet[LogState, LogRuntime]):
     A night begins with the first epoch in which somebody is in bed (without `seen`: with the first epoch), and a row of `nights` ends it.
     Rows are on the disk, past every cache, before the next epoch: neither `kill -9` nor a power cut loses or doubles one, and what was
     final once is never changed. A night that was broken off goes on after a restart, with the gap marked. While the disk is full rows wait
-    in memory. Pages are drawn by a process of its own. About 150 kB a night, and as much for the report.
+    in memory. Pages are drawn by a process of its own. About 600 kB a night, most of it the wave, and 150 kB
+    for the report.
     """
 
     inputs = {
         "bed": Input(optional=True),
         "seen": Input(optional=True),
         "breathing": Input(optional=True),
+        "wave": Input(optional=True),
         "lights": Input(optional=True),
         "view": Input(optional=True),
         "map": Input(optional=True),
@@ -113,6 +115,8 @@ class NightLog(Outlet[LogState, LogRuntime]):
         if len(chunk):
             if port == "map":
                 writer.map(np.asarray(chunk.data[-1]["map"], np.float32))
+            elif port == "wave":
+                self._breathes(chunk)
             else:
                 for stamp, row in zip(chunk.time.tolist(), chunk.data, strict=True):
                     self._take(port, row, stamp)
@@ -156,6 +160,18 @@ class NightLog(Outlet[LogState, LogRuntime]):
         held.setdefault(onset, {}).update(facts)
         while len(held) > HELD:
             del held[min(held)]
+
+    def _breathes(self, chunk: Chunk) -> None:
+        """The wave of each epoch is held with it, `x` where it is not known."""
+        spec = self.runtime.specs["wave"]
+        k = spec.channels.index(self.sleeper) if self.sleeper in spec.channels else 0
+        length = round(float(self.runtime.specs["epochs"].meta["epoch_s"]) * NS)
+        for stamp, values in zip(chunk.time.tolist(), chunk.data, strict=True):
+            onset = stamp // length * length
+            known = str(self.runtime.held.get(onset, {}).get("wave", "")).split()
+            place = int((stamp - onset) * spec.rate_hz / NS)
+            known += ["x"] * (place - len(known))
+            self._hold(onset, {"wave": " ".join([*known, rows.risen(values[k])])})
 
     def _epoch(self, row: Any) -> None:
         """A provisional score is held; a final one is written, once."""

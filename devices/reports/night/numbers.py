@@ -100,9 +100,30 @@ def table(facts: Facts, epochs: LoggedEpochs) -> list[ReportRow]:
         there = epochs.texts["bed"] == "in" if (epochs.texts["bed"] != "").any() else np.ones(len(epochs), np.bool_)
         covered = f"of {_share(np.isfinite(breaths[there]).mean())} of the epochs in bed; half of them are above this"
         made.append(ReportRow("Breathing rate", f"{middle:.1f} /min", f"90 %: {low:.1f} – {high:.1f}", covered))
+        made += _breath(epochs)
     return made
 
 
+def _breath(epochs: LoggedEpochs) -> list[ReportRow]:
+    """How far the chest rises, and pauses; nothing in the logs of older versions."""
+    none = np.empty(0)
+    lift, pauses = (epochs.numbers.get(name, none) for name in ("lift_mm", "pauses"))
+    lift, pauses = lift[np.isfinite(lift)], pauses[np.isfinite(pauses)]
+    made = []
+    if len(lift):
+        low, middle, high = np.percentile(lift, [5, 50, 95])
+        made.append(
+            ReportRow(
+                "Chest lift", f"{middle:.1f} mm", f"90 %: {low:.1f} – {high:.1f}", "5th to 95th percentile of the wave"
+            )
+        )
+    if len(pauses):
+        hours = len(pauses) * float(np.median(epochs.end - epochs.onset)) / 3.6e12
+        made.append(ReportRow("No effort seen for 10 s", f"{pauses.sum() / hours:.1f} /h", "", PAUSES))
+    return made
+
+
+PAUSES = "of the time in which it is known how far the chest moves; no diagnosis: effort under a thick blanket may not be seen"
 WASO = {
     "AASM": "all wake from the first epoch of sleep to the end of the time in bed",
     "ActiLife": "all wake from the first epoch of sleep to the end of the time in bed",

@@ -33,6 +33,8 @@ def check(specs: Specs) -> None:
     for port in ("seen", "breathing"):
         if port in specs and (other := float(specs[port].meta.get("epoch_s", length))) != length:
             raise InputError(port, f"epochs of {other:g} s", f"epochs of {length:g} s, as the scored ones are")
+    if "wave" in specs and (specs["wave"].is_event or not specs["wave"].rate_hz or not specs["wave"].channels):
+        raise InputError("wave", specs["wave"].describe(), "the output wave of operators.bed.breathing.Breathing")
     if "map" in specs and len(specs["map"].dtype["map"].shape) != 2:
         raise InputError("map", specs["map"].describe(), "events with a table (rows, columns) in the field `map`")
 
@@ -66,7 +68,20 @@ def seen(row: Any) -> dict[str, Any]:
 
 
 def breathing(row: Any) -> dict[str, Any]:
-    return {"breaths_per_min": number(row["rate"]), "confidence": number(row["confidence"])}
+    more = {
+        "rate_error": "error",
+        "lift_mm": "amplitude",
+        "regularity": "regularity",
+        "pauses": "pauses",
+        "paused_s": "paused_s",
+    }
+    known = {name: number(row[field]) for name, field in more.items() if field in row.dtype.names}
+    return {"breaths_per_min": number(row["rate"]), "confidence": number(row["confidence"]), **known}
+
+
+def risen(value: Any) -> str:
+    """How far the chest has risen, in hundredths of a mm."""
+    return str(round(100 * float(value))) if np.isfinite(value) else "x"
 
 
 def number(value: Any) -> str:

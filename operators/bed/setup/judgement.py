@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinegraph.operators.bed.mattress import mattress, somebody
+from kinegraph.operators.bed.region_fit import MIN_BLOCKS, MIN_INSIDE, Mask, Region, suggested, within
 from kinegraph.stream.chunk import Samples
 
 LEAST_MEASURED = 0.5
 """This much of the region must be measured; an epoch of which less is seen is unknown."""
-LEAST_INSIDE = 0.75
-"""This much of who lies in bed must be within the regions."""
 NOISIER = 2.0
 """In an empty region noise grows this much only in another light."""
-LEAST_BLOCKS = 4
-
-Region = tuple[int, int, int, int]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(slots=True)
@@ -92,7 +85,7 @@ def judge(
             for (name, stay), before in zip(stays.items(), minutes, strict=False)
         }
     raised: Mask = np.logical_or.reduce(list(bodies.values()))
-    inside = _within(list(regions.values()), raised.shape)
+    inside = within(list(regions.values()), raised.shape)
     hint = suggested(bodies, block)
     if not inside.any():
         found.append(BedFinding(False, f"no bed was found while it was empty; {hint}"))
@@ -103,13 +96,6 @@ def judge(
     for name, body in bodies.items():
         found.append(_held(body, regions[name], f" ({name})" if len(bodies) > 1 else "", hint, least))
     return [f for f in (*found, _light(out, minutes[-1], raised)) if f]
-
-
-def _within(regions: Sequence[Region], shape: tuple[int, ...]) -> Mask:
-    inside: Mask = np.zeros(shape, np.bool_)
-    for row, column, rows, columns in regions:
-        inside[row : row + rows, column : column + columns] = True
-    return inside
 
 
 def _measured(out: Minute, inn: Minute, inside: Mask) -> BedFinding:
@@ -147,14 +133,14 @@ def _empty(depth: Samples, region: Region, who: str, rise_mm: float, least: floa
 def _held(body: Mask, region: Region, who: str, hint: str, least: float) -> BedFinding:
     """Whether a sleeper's region holds that body."""
     whole = int(body.sum())
-    if whole < LEAST_BLOCKS:
+    if whole < MIN_BLOCKS:
         return BedFinding(
             False, f"no person was seen in bed{who}: does the camera see the whole bed, and did you lie down in time?"
         )
     row, column, rows, columns = region
     mine = body[row : row + rows, column : column + columns]
     held = float(mine.sum()) / whole
-    if held < LEAST_INSIDE:
+    if held < MIN_INSIDE:
         return BedFinding(
             False, f"the region holds {held:.0%} of who lies there{who}: it is too small, or elsewhere; {hint}"
         )
@@ -177,31 +163,4 @@ def _light(out: Minute, inn: Minute, raised: Mask) -> BedFinding | None:
     return BedFinding(
         False,
         f"the noise of the empty part is {usual:.1f} times what it was: the light has changed; check in the light of the night",
-    )
-
-
-def suggested(bodies: Mapping[str, Mask], block: int) -> str:
-    """The rectangle of what is raised and a block around it, in pixels; several share it, cut halfway between neighbours."""
-    boxes = [_box(body) for body in bodies.values()]
-    if not all(len(box) for box in boxes):
-        return "set it: regions: [[row, column, rows, columns]]"
-    edges = np.array(boxes)  # (sleepers, 4): first row, first column, one past the last row and column
-    shape = next(iter(bodies.values())).shape
-    outer = np.append(np.maximum(edges[:, :2].min(axis=0) - 1, 0), np.minimum(edges[:, 2:].max(axis=0) + 1, shape))
-    parts = np.tile(outer, (len(edges), 1))
-    middles = (edges[:, :2] + edges[:, 2:]) / 2
-    side = int(np.ptp(middles[:, 1]) >= np.ptp(middles[:, 0]))
-    order = np.argsort(middles[:, side])
-    for a, b in pairwise(order.tolist()):
-        cut = round(float(edges[a, 2 + side] + edges[b, side]) / 2)
-        parts[a, 2 + side] = parts[b, side] = cut
-    suggested = [[int(v) * block for v in (top, left, end - top, right - left)] for top, left, end, right in parts]
-    return f"try regions: {suggested}"
-
-
-def _box(body: Mask) -> list[int]:
-    """First row, first column, one past the last row, and the last column; [] where too little is raised."""
-    rows, columns = np.flatnonzero(body.sum(axis=1) > 1), np.flatnonzero(body.sum(axis=0) > 1)
-    return (
-        [int(rows[0]), int(columns[0]), int(rows[-1]) + 1, int(columns[-1]) + 1] if len(rows) and len(columns) else []
     )

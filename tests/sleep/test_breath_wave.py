@@ -1,0 +1,82 @@
+"""Breath as a signal: the chest's movement, its lift, the rate's interval, and pauses; in the night's table and in EDF+."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinegraph.devices.reports.night import archive
+from kinegraph.devices.reports.night.edf import write_edf
+from kinegraph.devices.reports.night.rows import risen
+from kinegraph.operators.bed.breathing import Breathing
+from kinegraph.stream.chunk import NS, Array
+from kinegraph.stream.operator import grid
+from tests.sleep.depth_frames import blocks_spec, play
+from tests.sleep.depth_frames import regions as regions_at
+
+FPS, START = 8.0, 1_767_218_400 * NS
+PER_MIN, LIFT_MM = 14.0, 3.0
+
+
+def made(seconds: float, *, pauses: tuple[tuple[float, float], ...] = (), noise: float = 0.3) -> dict[str, Array]:
+    """What comes out of blocks of 12 x 16, of which 4 x 5 are a chest that lifts by 3 mm."""
+    second = np.arange(int(seconds * FPS)) / FPS
+    lift = LIFT_MM * (1 - np.cos(2 * np.pi * PER_MIN / 60 * second)) / 2
+    for begin, end in pauses:
+        lift[(second >= begin) & (second < end)] = lift[int(begin * FPS)]
+    depth = 2000.0 + np.random.default_rng(8).normal(0, noise, (len(second), 12, 16))
+    depth[:, 4:8, 5:10] -= lift[:, None, None]
+    time = grid(FPS, len(second), START)
+    return play(
+        Breathing(cell_blocks=1),
+        regions=regions_at(START, a=(0, 0, 96, 128)),
+        blocks=(blocks_spec(12, 16, FPS), time, depth),
+    )
+
+
+def test_the_wave_is_the_movement_of_the_chest() -> None:
+    given = made(120)
+    wave, events = given["wave"][:, 0], given["out"]
+    assert len(wave) >= 119 * 4 and np.isnan(wave[:119]).all(), "the first epoch shows where the chest is"
+    second = np.arange(len(wave)) / 4 + 0.125
+    truth = -np.cos(2 * np.pi * PER_MIN / 60 * second)
+    assert np.corrcoef(wave[160:], truth[160:])[0, 1] > 0.95, "up when the chest is up"
+    assert np.nanmedian(events["amplitude"]) == pytest.approx(LIFT_MM, rel=0.15)
+    assert (events["regularity"][1:] > 0.9).all()
+    assert (abs(events["rate"] - PER_MIN) <= events["error"]).all() and (events["error"] < 0.3).all()
+    assert (events["pauses"][1:] == 0).all()
+
+
+def test_pauses_are_counted_from_10_s_on() -> None:
+    events = made(240, pauses=((70, 85), (110, 130), (160, 166)))["out"]
+    assert np.nansum(events["pauses"]) == 2
+    assert np.nansum(events["paused_s"]) == pytest.approx(35, abs=4)
+
+
+def test_noise_alone_has_no_wave_and_no_pauses() -> None:
+    given = made(90, pauses=((0, 90),))
+    assert np.isnan(given["wave"]).all() and np.isnan(given["out"]["pauses"]).all()
+
+
+def test_the_wave_lies_in_edf_at_its_own_rate(tmp_path: Path) -> None:
+    import edfio
+
+    wave = np.sin(np.arange(240) / 3.0)
+    wave[130:140] = np.nan
+    rows = [",".join(archive.COLUMNS)]
+    for k in range(3):
+        known = {
+            "onset": archive.iso(START + 30 * k * NS),
+            "end": archive.iso(START + 30 * (k + 1) * NS),
+            "state": "sleep",
+        }
+        known |= {"activity": "0", "wave": " ".join(risen(v) for v in wave[120 * k : 120 * (k + 1)])}
+        rows.append(",".join(known.get(name, "") for name in archive.COLUMNS))
+    (tmp_path / archive.EPOCHS).write_text("\n".join(rows) + "\n")
+    write_edf(tmp_path / "night.edf", archive.Facts("n", START, 30.0, "UTC"), archive.read_epochs(tmp_path))
+    (signal,) = [s for s in edfio.read_edf(tmp_path / "night.edf").signals if s.label == "Chest movement"]
+    assert signal.sampling_frequency == 4.0 and signal.physical_dimension == "mm"
+    expected = np.where(np.isfinite(wave), wave, -32.0)
+    assert np.abs(signal.data[:240] - expected).max() < 0.01 and (signal.data[240:] == -32.0).all()
