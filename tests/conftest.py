@@ -48,6 +48,16 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return None
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of a file that share a fixture of their module run in one process, which makes it once."""
+    for item in items:
+        info = getattr(item, "_fixtureinfo", None)
+        if info is None or item.get_closest_marker("xdist_group"):
+            continue
+        if any(known[-1].scope == "module" for known in info.name2fixturedefs.values()):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
 def pytest_runtest_teardown() -> None:
     """A command that ran within a test has bound the log to what was standard error then, which is closed for the tests that follow."""
     structlog.reset_defaults()
