@@ -15,6 +15,7 @@ from kinegraph.operators.inputs.channels import names_of
 from kinegraph.operators.inputs.lengths import CM, metres
 from kinegraph.operators.maps.pose_map.som_kernel import learn_pose, nearest_cells, next_random, place_between, touch
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.compiler.record import numbers_of, record
 from kinegraph.stream.data.finite import finite
 from kinegraph.stream.data.require import regular, samples_in, width_of
 from kinegraph.stream.domain.pose_map import MotionIndex
@@ -27,119 +28,47 @@ WIDEST = 300
 """More features take longer than a frame."""
 TRIED = 256
 """A map is tried on this many poses before it is shown."""
-SEEN, STEP, SHOWN, GOOD, TORN = range(5)
-"""Places in `counts`: whole poses so far; frame of the map that is being learned; maps shown; poses tried; those with nearest cells that
-do not touch."""
 
 
-@kernel
-def keep(x: Samples, reservoir: Samples, counts: Times, random: Times) -> None:
-    """Take a pose into the reservoir, which holds each of those so far with the same probability (Vitter 1985, algorithm R)."""
-    counts[SEEN] += 1
-    at = counts[SEEN] - 1 if counts[SEEN] <= reservoir.shape[0] else next_random(random, counts[SEEN])
-    if at < reservoir.shape[0]:
-        reservoir[at] = x
+class GridNumbers:
+    columns: int
+    every: int
+    tried: int
+    steps: int
+    most: int
+    seen: int
+    step: int
+    shown: int
+    good: int
+    torn: int
+    drawn: int
 
 
-@kernel
-def work_on(
-    reservoir: Samples, draft: Samples, columns: int, every: int, tried: int, steps: int, counts: Times, random: Times,
-    apart: Samples, share: Samples, found: Times, distances: Samples, errors: Samples, hits: Times,
-) -> None:  # fmt: skip
-    """One frame's part of the work on the next map: some steps of learning, or one pose that it is tried on."""
-    held = min(counts[SEEN], reservoir.shape[0])
-    if counts[STEP] == 0 and counts[SHOWN] == 0:
-        for k in range(draft.shape[1]):
-            draft[:, k] = reservoir[next_random(random, held)]
-    learning = every - tried
-    first = counts[SHOWN] == 0
-    widest = 0.5 * max(columns, draft.shape[1] // columns) if first else 1.5
-    fastest = 0.4 if first else 0.1
-    if counts[STEP] < learning:
-        done = counts[STEP] / learning
-        for _ in range(steps):
-            pose = reservoir[next_random(random, held)]
-            nearest_cells(draft, pose, apart, found, distances)
-            rate, radius = fastest * (0.02 / fastest) ** done, widest * (0.6 / widest) ** done
-            learn_pose(draft, columns, pose, found[0], rate, max(radius, 0.3), share)
-    else:
-        if counts[STEP] == learning:
-            counts[GOOD], counts[TORN] = 0, 0
-            hits[:] = 0
-        nearest_cells(draft, reservoir[next_random(random, held)], apart, found, distances)
-        errors[counts[GOOD]] = distances[0]
-        hits[found[0]] += 1
-        counts[GOOD] += 1
-        counts[TORN] += not touch(found[0], found[1], columns)
-    counts[STEP] += 1
-
-
-@kernel
-def map_poses(
-    x: Samples, used: Times, columns: int, every: int, tried: int, steps: int, most: int, frame: Samples, reservoir: Samples,
-    draft: Samples, codes: Samples, counts: Times, random: Times, apart: Samples, share: Samples, found: Times, distances: Samples,
-    errors: Samples, trial: Samples, hits: Times, place: Samples, error: Samples, begin: int,
-) -> int:  # fmt: skip
-    """Places (n, 2) and errors (n, 2) of the poses `x` (n, width) from `begin` on; stops after a frame with which a map is to be shown.
-
-    Returns how far it came.
-    """
-    for i in range(begin, x.shape[0]):
-        whole = True
-        for c in range(used.shape[0]):
-            frame[c] = finite(x[i, used[c]])
-            whole = whole and frame[c] == frame[c]
-        place[i, 0], place[i, 1], error[i, 0], error[i, 1] = math.nan, math.nan, math.nan, math.nan
-        if not whole:
-            continue
-        if counts[SHOWN] > 0:
-            nearest_cells(codes, frame, apart, found, distances)
-            place_between(apart, columns, found[0], place[i])
-            error[i, 0] = distances[0]
-            below = 0
-            for k in range(errors.shape[0]):
-                below += errors[k] <= distances[0]
-            error[i, 1] = below / errors.shape[0]
-        if most == 0 or counts[SHOWN] < most:
-            keep(frame, reservoir, counts, random)
-            work_on(
-                reservoir, draft, columns, every, tried, steps, counts, random, apart, share, found, distances, trial, hits
-            )  # fmt: skip
-            if counts[STEP] == every:
-                codes[:] = draft
-                errors[:] = trial
-                counts[SHOWN] += 1
-                counts[STEP] = 0
-                return i + 1
-    return int(x.shape[0])
-
-
+@record
 @dataclass(slots=True)
-class PoseGridState:
+class PoseGridState(GridNumbers):
     """
     used (u,)             which of the input's numbers count
     columns               of the grid
     every, tried          frames between maps; how many of them are for trying
+    steps                 of learning with every pose
     most                  maps after which nothing more is learned; 0: always learn
+    seen, step, shown     whole poses so far; frame of the map that is being learned; maps shown
+    good, torn            poses tried; those with nearest cells that do not touch
+    drawn                 how many maps `poses` has emitted
     frame (u,), reservoir (r, u)
     draft, codes (u, c)   the map that is being learned, and the one that is shown
-    counts (5,), random   see above
     errors, trial (e,)    of the poses that the map shown, and the one being learned, was tried on
     hits (c,)             how many of these fell on each cell
     apart, share (c,), found, distances   room, which remembers nothing
-    drawn                 how many maps `poses` has emitted
     """
 
+    numbers: Array
     used: Times
-    columns: int
-    every: int
-    tried: int
-    most: int
     frame: Samples
     reservoir: Samples
     draft: Samples
     codes: Samples
-    counts: Times
     random: Times
     errors: Samples
     trial: Samples
@@ -148,7 +77,83 @@ class PoseGridState:
     share: Samples
     found: Times
     distances: Samples
-    drawn: int = 0
+
+
+NUMBERS = numbers_of(GridNumbers)
+
+
+@kernel
+def keep(s: PoseGridState) -> None:
+    """Take a pose into the reservoir, which holds each of those so far with the same probability (Vitter 1985, algorithm R)."""
+    s.seen += 1
+    at = s.seen - 1 if s.seen <= s.reservoir.shape[0] else next_random(s.random, s.seen)
+    if at < s.reservoir.shape[0]:
+        s.reservoir[at] = s.frame
+
+
+@kernel
+def work_on(s: PoseGridState) -> None:
+    """One frame's part of the work on the next map: some steps of learning, or one pose that it is tried on."""
+    reservoir, draft, found, distances = s.reservoir, s.draft, s.found, s.distances
+    held = min(s.seen, reservoir.shape[0])
+    if s.step == 0 and s.shown == 0:
+        for k in range(draft.shape[1]):
+            draft[:, k] = reservoir[next_random(s.random, held)]
+    learning = s.every - s.tried
+    first = s.shown == 0
+    widest = 0.5 * max(s.columns, draft.shape[1] // s.columns) if first else 1.5
+    fastest = 0.4 if first else 0.1
+    if s.step < learning:
+        done = s.step / learning
+        for _ in range(s.steps):
+            pose = reservoir[next_random(s.random, held)]
+            nearest_cells(draft, pose, s.apart, found, distances)
+            rate, radius = fastest * (0.02 / fastest) ** done, widest * (0.6 / widest) ** done
+            learn_pose(draft, s.columns, pose, found[0], rate, max(radius, 0.3), s.share)
+    else:
+        if s.step == learning:
+            s.good, s.torn = 0, 0
+            s.hits[:] = 0
+        nearest_cells(draft, reservoir[next_random(s.random, held)], s.apart, found, distances)
+        s.trial[s.good] = distances[0]
+        s.hits[found[0]] += 1
+        s.good += 1
+        s.torn += not touch(found[0], found[1], s.columns)
+    s.step += 1
+
+
+@kernel
+def map_poses(s: PoseGridState, x: Samples, place: Samples, error: Samples, begin: int) -> int:
+    """Places (n, 2) and errors (n, 2) of the poses `x` (n, width) from `begin` on; stops after a frame with which a map is to be shown.
+
+    Returns how far it came.
+    """
+    for i in range(begin, x.shape[0]):
+        whole = True
+        for c in range(s.used.shape[0]):
+            s.frame[c] = finite(x[i, s.used[c]])
+            whole = whole and s.frame[c] == s.frame[c]
+        place[i, 0], place[i, 1], error[i, 0], error[i, 1] = math.nan, math.nan, math.nan, math.nan
+        if not whole:
+            continue
+        if s.shown > 0:
+            nearest_cells(s.codes, s.frame, s.apart, s.found, s.distances)
+            place_between(s.apart, s.columns, s.found[0], place[i])
+            error[i, 0] = s.distances[0]
+            below = 0
+            for k in range(s.errors.shape[0]):
+                below += s.errors[k] <= s.distances[0]
+            error[i, 1] = below / s.errors.shape[0]
+        if s.most == 0 or s.shown < s.most:
+            keep(s)
+            work_on(s)
+            if s.step == s.every:
+                s.codes[:] = s.draft
+                s.errors[:] = s.trial
+                s.shown += 1
+                s.step = 0
+                return i + 1
+    return int(x.shape[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +231,7 @@ class PoseGrid(Operator[PoseGridState]):
         every = max(4, samples_in("learn_s", self.learn_s, rate_hz))
         codes = np.zeros((self.rows * self.columns, len(used)))
         tried = min(TRIED, max(1, every // 4))
-        return _state(used, self.columns, codes, every, tried, self.maps, self.reservoir, self.seed)
+        return _state(used, self.columns, codes, every, tried, self.steps, self.maps, self.reservoir, self.seed)
 
     def _learned(self, spec: StreamSpec, index: MotionIndex) -> PoseGridState:
         """The map of a model."""
@@ -243,9 +248,9 @@ class PoseGrid(Operator[PoseGridState]):
                 )
             size = metres(index.unit) / metres(spec.units[0])
         used = np.array([names.index(name) for name in index.channels], np.int64)
-        s = _state(used, index.columns, index.codes * size, 4, len(index.errors), 1, 2, self.seed)
+        s = _state(used, index.columns, index.codes * size, 4, len(index.errors), self.steps, 1, 2, self.seed)
         s.errors[:] = index.errors * size
-        s.counts[SHOWN] = 1
+        s.shown = 1
         return s
 
     def process(self, port: str, chunk: Chunk) -> Emitted:
@@ -253,19 +258,16 @@ class PoseGrid(Operator[PoseGridState]):
         place, error = np.empty((n, 2)), np.empty((n, 2))
         events, at, done = list[Array](), list[int](), 0
         drawn, drawn_at = list[Samples](), list[int]()
-        if n and s.counts[SHOWN] > s.drawn:
-            drawn, drawn_at, s.drawn = [s.codes.T.copy()], [0], int(s.counts[SHOWN])
+        if n and s.shown > s.drawn:
+            drawn, drawn_at, s.drawn = [s.codes.T.copy()], [0], s.shown
         x = np.ascontiguousarray(chunk.data, np.float64)
         while done < n:
-            shown = int(s.counts[SHOWN])
-            done = map_poses(
-                x, s.used, s.columns, s.every, s.tried, self.steps, s.most, s.frame, s.reservoir, s.draft, s.codes, s.counts,
-                s.random, s.apart, s.share, s.found, s.distances, s.errors, s.trial, s.hits, place, error, done,
-            )  # fmt: skip
-            if s.counts[SHOWN] > shown:
+            shown = s.shown
+            done = map_poses(s, x, place, error, done)
+            if s.shown > shown:
                 one = np.zeros(1, _event_of(*s.codes.T.shape))
                 one["map"], one["tried"] = shown + 1, s.tried
-                one["quantisation"], one["topographic"] = s.errors.mean(), s.counts[TORN] / s.tried
+                one["quantisation"], one["topographic"] = s.errors.mean(), s.torn / s.tried
                 one["count"], one["pose"] = s.hits, s.codes.T
                 events.append(one)
                 at.append(done - 1)
@@ -305,14 +307,15 @@ def _event_of(cells: int, width: int) -> np.dtype[np.void]:
 
 
 def _state(
-    used: Times, columns: int, codes: Samples, every: int, tried: int, most: int, reservoir: int, seed: int
+    used: Times, columns: int, codes: Samples, every: int, tried: int, steps: int, most: int, reservoir: int, seed: int
 ) -> PoseGridState:
     """Of cells `codes` (c, u)."""
     cells, width = codes.shape
     by_feature = np.ascontiguousarray(codes.T)
-    return PoseGridState(
-        used=used, columns=columns, every=every, tried=tried, most=most, frame=np.zeros(width),
-        reservoir=np.zeros((reservoir, width)), draft=by_feature.copy(), codes=by_feature, counts=np.zeros(5, np.int64),
-        random=np.array([seed], np.int64), errors=np.zeros(tried), trial=np.zeros(tried), hits=np.zeros(cells, np.int64),
-        apart=np.zeros(cells), share=np.zeros(cells), found=np.zeros(2, np.int64), distances=np.zeros(2),
+    made = PoseGridState(
+        numbers=np.zeros((), NUMBERS), used=used, frame=np.zeros(width), reservoir=np.zeros((reservoir, width)),
+        draft=by_feature.copy(), codes=by_feature, random=np.array([seed], np.int64), errors=np.zeros(tried), trial=np.zeros(tried),
+        hits=np.zeros(cells, np.int64), apart=np.zeros(cells), share=np.zeros(cells), found=np.zeros(2, np.int64), distances=np.zeros(2),
     )  # fmt: skip
+    made.columns, made.every, made.tried, made.steps, made.most = columns, every, tried, steps, most
+    return made
