@@ -8,11 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from kinegraph.operators.emg.envelope_kernel import envelope, gap, stamp
+from kinegraph.operators.emg.envelope_kernel import NUMBERS, EnvelopeState, envelope, gap, stamp
 from kinegraph.operators.emg.one_kind import refuse_mixed
 from kinegraph.operators.emg.zero_phase import antialias_phases, highpass_reach, lowpass_phases
 from kinegraph.operators.filters.iir import butterworth, steady_memory
-from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.data.design_cache import remembered
 from kinegraph.stream.data.require import regular_signal
 from kinegraph.stream.errors import ParameterError
@@ -26,32 +26,17 @@ BLOCK_S = 0.02
 
 @dataclass(slots=True)
 class Filters:
-    """What the parameters and the input's rate come to; see `operators.emg.envelope_kernel.envelope` for the shapes."""
+    """What the parameters and the input's rate come to; see `EnvelopeState` for the shapes."""
 
     hp_sos: Samples
     hp_start: Samples
     ahead: int
     taps: Samples
-    step: Times
+    after: Times
+    block: int
     lp_sos: Samples
     delay_s: float
     settling_s: float
-
-
-@dataclass(slots=True)
-class EnvelopeState:
-    filters: Filters
-    hp_z: Samples
-    back_z: Samples
-    ahead: Samples
-    rectified: Samples
-    lp_z: Samples
-    held: Samples
-    bad: Array
-    stamps: Times
-    count: Times
-    last: int
-    limit: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,22 +88,26 @@ class Envelope(Operator[EnvelopeState]):
         up, down, rate = self._ratio(rate_hz)
         self._check(rate_hz, rate)
         filters = (self._zero if self.phase == "zero" else self._causal)(rate_hz, up, down, rate)
-        n, waits, long = spec.shape[0], filters.ahead + int(filters.step[2]), filters.taps.shape[1]
+        n, waits, long = spec.shape[0], filters.ahead + filters.block, filters.taps.shape[1]
         ring = waits + long // 2 + down // up + 3
         state = EnvelopeState(
-            filters=filters,
+            numbers=np.zeros((), NUMBERS),
+            after=filters.after,
+            hp_sos=np.array(filters.hp_sos, order="C"),
+            hp_start=np.array(filters.hp_start, order="C"),
             hp_z=np.zeros((len(filters.hp_sos), 2, n)),
             back_z=np.zeros((len(filters.hp_sos), 2, n)),
             ahead=np.zeros((waits, n)),
-            rectified=np.zeros((2 * long, n)),
+            taps=np.array(filters.taps, order="C"),
+            window=np.zeros((2 * long, n)),
+            lp_sos=np.array(filters.lp_sos, order="C"),
             lp_z=np.zeros((len(filters.lp_sos), 2, n)),
             held=np.full(n, np.nan),
             bad=np.zeros((ring, n), np.uint8),
             stamps=np.zeros((ring, 2), np.int64),
-            count=np.zeros(4, np.int64),
-            last=NEVER,
-            limit=spec.period_ns + round(self.reset_gap_s * NS),
         )
+        state.up, state.down, state.block = up, down, filters.block
+        state.last, state.limit = NEVER, spec.period_ns + round(self.reset_gap_s * NS)
         self.set_state(state, delay_s=filters.delay_s)
         made = {"envelope": {k: v for k, v in asdict(self).items() if k != "reset_gap_s"}, "normalisation": "none"}
         out = spec.derive(
@@ -184,9 +173,7 @@ class Envelope(Operator[EnvelopeState]):
         block = max(1, round(BLOCK_S * rate_in)) if len(hp) else 1
         taps = lowpass_phases(self.cutoff_hz, self.order, rate_in, up)
         delay = (ahead + block - 1 + taps.shape[1] // 2) / rate_in
-        return Filters(
-            hp, start, ahead, taps, self._step(rate_in, up, down, block, 0.0), np.zeros((0, 6)), delay, delay
-        )
+        return Filters(hp, start, ahead, taps, _after(rate_in, up, 0.0), block, np.zeros((0, 6)), delay, delay)
 
     def _causal(self, rate_in: float, up: int, down: int, rate_out: float) -> Filters:
         hp, start = self._highpass(rate_in)
@@ -196,13 +183,13 @@ class Envelope(Operator[EnvelopeState]):
             taps = antialias_phases(self.cutoff_hz, max(rate_out - self.cutoff_hz, 0.6 * rate_out), rate_in, up)
         low, group = causal_lowpass(self.order, self.cutoff_hz, rate_out)
         look = taps.shape[1] // 2 / rate_in
-        step = self._step(rate_in, up, down, 1, group)
         return Filters(
             hp,
             start,
             0,
             taps,
-            step,
+            _after(rate_in, up, group),
+            1,
             low,
             look + group,
             settling + 2 * look + 1.2 * self.order / self.cutoff_hz,
@@ -214,17 +201,11 @@ class Envelope(Operator[EnvelopeState]):
         sos = butterworth(self.highpass_order, self.highpass_hz, "highpass", rate_hz)
         return sos, steady_memory(sos)
 
-    @staticmethod
-    def _step(rate_in: float, up: int, down: int, block: int, shift_s: float) -> Times:
-        """`step` of the kernel: the stamps' shift is in it."""
-        after = np.round(np.arange(up) / up * (NS / rate_in) - shift_s * NS).astype(np.int64)
-        return np.concatenate([np.array([up, down, block], np.int64), after])
-
     def _runs(self, chunk: Chunk) -> list[EnvelopeRun]:
         """The chunk cut where a gap is long enough to start again."""
         s = self.state
         before = s.last if s.last != NEVER else int(chunk.time[0])
-        same = s.filters.step[0] == s.filters.step[1]
+        same = s.up == s.down
         runs = []
         start, lost, restarts = 0, chunk.lost if same or not chunk.lost else -1, False
         while start < len(chunk.time):
@@ -236,35 +217,37 @@ class Envelope(Operator[EnvelopeState]):
 
     def _run(self, x: Samples, time: Times, lost: int, restarts: bool) -> tuple[Times, Samples]:
         """Consecutive samples to what is then known: per row its stamp and the `lost` before it, and the rows."""
-        s, f = self.state, self.state.filters
+        s = self.state
         if restarts:
             self._reset()
         s.last = int(time[-1])
-        room = (len(x) + len(s.ahead)) * int(f.step[0]) // int(f.step[1]) + 3
+        room = (len(x) + len(s.ahead)) * s.up // s.down + 3
         out, marks = np.empty((room, x.shape[1])), np.empty((room, 2), np.int64)
-        rows = envelope(
-            x, time, lost, f.hp_sos, f.hp_start, s.hp_z, s.back_z, s.ahead, f.taps, f.step, s.rectified, f.lp_sos, s.lp_z,
-            s.held, s.bad, s.stamps, s.count, out, marks,
-        )  # fmt: skip
+        rows = envelope(s, x, time, lost, out, marks)
         return marks[:rows], out[:rows]
 
     def _reset(self) -> None:
         s = self.state
-        for array in (s.hp_z, s.ahead, s.rectified, s.lp_z, s.bad, s.stamps, s.count):
+        for array in (s.hp_z, s.ahead, s.window, s.lp_z, s.bad, s.stamps):
             array[...] = 0
+        s.taken = s.rectified = s.written = s.filled = 0
         s.held[...] = np.nan
 
     def _until(self, until: int) -> int:
         """Just before the next output's stamp, as far as that is known; else what the input's `until` allows."""
-        s, step = self.state, self.state.filters.step
+        s = self.state
         if until in (FOREVER, NEVER):
             return until
-        earliest = until + min(int(step[3]), 0)
-        up, down = int(step[0]), int(step[1])
-        sample, phase = divmod(int(s.count[2]) * down, up)
-        if s.last == NEVER or sample >= s.count[0] or until >= s.last + s.limit:
+        earliest = until + min(int(s.after[0]), 0)
+        sample, phase = divmod(s.written * s.down, s.up)
+        if s.last == NEVER or sample >= s.taken or until >= s.last + s.limit:
             return earliest
-        return min(earliest, stamp(s.stamps, sample, step, phase, sample + 1 < s.count[0]) - 1)
+        return min(earliest, stamp(s.stamps, sample, s.after, phase, sample + 1 < s.taken) - 1)
+
+
+def _after(rate_in: float, up: int, shift_s: float) -> Times:
+    """The ns that each of the `up` positions between two samples lies after the first of them, with the stamps' shift in it."""
+    return np.round(np.arange(up) / up * (NS / rate_in) - shift_s * NS).astype(np.int64)
 
 
 @remembered

@@ -3,9 +3,60 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.compiler.record import numbers_of, record
 from kinegraph.stream.kernel import kernel
+
+
+class EnvelopeNumbers:
+    up: int
+    down: int
+    block: int
+    taken: int
+    rectified: int
+    written: int
+    filled: int
+    last: int
+    limit: int
+
+
+@record
+@dataclass(slots=True)
+class EnvelopeState(EnvelopeNumbers):
+    """
+    up, down   output over input rate; `after` (up,): the ns that each of the `up` positions lies after its sample
+    block      B, how many samples are filtered backwards at a time
+    hp_sos     (s, 6)        high-pass (s = 0 without one), hp_z (s, 2, c) its memory, hp_start (s, 2) that for a constant 1
+    ahead      (B + L, c)    what left the high-pass and is run through it backwards, B samples at a time, from L samples ahead
+    back_z     (s, 2, c)     memory on the way back; B = 1, L = 0: there is no way back
+    taps       (up, 2 h + 1) low-pass, one row for each position between two samples
+    window     (2 V, c)      the last V = 2 h + 1 rectified samples, each kept twice, V apart, so that a window never wraps
+    lp_sos     (q, 6)        causal low-pass at the output's rate (q = 0 without one), lp_z (q, 2, c) its memory
+    held       (c,)          the last finite value; NaN before the first; replaces what is not finite
+    bad        (R, c), stamps (R, 2)   per recent input sample: whether it was not finite; its stamp, and `lost` just before it
+    taken, rectified, written   samples taken, rectified, rows written since the start or the last reset; filled: rows in `ahead`
+    last, limit   stamp of the latest sample; how much later the next may come without a reset, ns
+    """
+
+    numbers: Array
+    after: Times
+    hp_sos: Samples
+    hp_start: Samples
+    hp_z: Samples
+    back_z: Samples
+    ahead: Samples
+    taps: Samples
+    window: Samples
+    lp_sos: Samples
+    lp_z: Samples
+    held: Samples
+    bad: Array
+    stamps: Times
+
+
+NUMBERS = numbers_of(EnvelopeNumbers)
 
 
 @kernel
@@ -88,116 +139,72 @@ def backward(sos: Samples, z: Samples, ahead: Samples, block: int, work: Samples
 
 
 @kernel
-def envelope(
-    x: Samples,
-    time: Times,
-    lost: int,
-    hp_sos: Samples,
-    hp_start: Samples,
-    hp_z: Samples,
-    back_z: Samples,
-    ahead: Samples,
-    taps: Samples,
-    step: Times,
-    rectified: Samples,
-    lp_sos: Samples,
-    lp_z: Samples,
-    held: Samples,
-    bad: Array,
-    stamps: Times,
-    count: Times,
-    out: Samples,
-    marks: Times,
-) -> int:
-    """Take the samples `x` (n, c); write what is then known of the envelope to `out`; returns the rows written.
+def envelope(s: EnvelopeState, x: Samples, time: Times, lost: int, out: Samples, marks: Times) -> int:
+    """Take the samples `x` (n, c), `lost` before them; write what is then known of the envelope to `out`; returns the rows written.
 
-    hp_sos     (s, 6)        high-pass (s = 0 without one), hp_z (s, 2, c) its memory, hp_start (s, 2) that for a constant 1
-    ahead      (B + L, c)    what left the high-pass and is run through it backwards, B samples at a time, from L samples ahead
-    back_z     (s, 2, c)     memory on the way back; B = 1, L = 0: there is no way back
-    taps       (up, 2 h + 1) low-pass, one row for each position between two samples
-    step       (3 + up,)     up, down, B, then the ns that each of the `up` positions lies after its sample
-    rectified  (2 V, c)      the last V = 2 h + 1 rectified samples, each kept twice, V apart, so that a window never wraps
-    lp_sos     (q, 6)        causal low-pass at the output's rate (q = 0 without one), lp_z (q, 2, c) its memory
-    held       (c,)          the last finite value; NaN before the first; replaces what is not finite
-    bad        (R, c), stamps (R, 2)   per recent input sample: whether it was not finite; its stamp, and `lost` just before it
-    count      (4,)          samples taken, rectified, rows written since the start or the last reset; rows filled in `ahead`
-    marks      (rows, 2)     written: the output's stamp, and `lost` just before it
-    lost                     of the first sample of `x`
+    marks  (rows, 2)  written: the output's stamp, and `lost` just before it
 
     Output m describes the position m down / up in samples. It is NaN where any sample since the previous output's was not finite.
     """
-    block = step[2]
+    ahead, hp_sos, hp_z, bad, stamps, block = s.ahead, s.hp_sos, s.hp_z, s.bad, s.stamps, s.block
     work = out[out.shape[0] - 1 :]
-    plain = sound(x, held)
+    plain = sound(x, s.held)
     if plain and x.shape[0]:
         for c in range(x.shape[1]):
-            held[c] = x[x.shape[0] - 1, c]
+            s.held[c] = x[x.shape[0] - 1, c]
     rows = 0
     for i in range(x.shape[0]):
-        slot = count[0] % stamps.shape[0]
+        slot = s.taken % stamps.shape[0]
         stamps[slot, 0] = time[i]
         stamps[slot, 1] = lost if i == 0 else 0
         for c in range(x.shape[1]):
             bad[slot, c] = 0
+        filled = s.filled
         if plain:
-            run(hp_sos, hp_z, x, i, ahead, count[3])
+            run(hp_sos, hp_z, x, i, ahead, filled)
         else:
-            hold(x, i, held, bad, slot, ahead, count[3], hp_start, hp_z)
-            run(hp_sos, hp_z, ahead, count[3], ahead, count[3])
-        count[0] += 1
-        count[3] += 1
-        if count[3] < ahead.shape[0]:
+            hold(x, i, s.held, bad, slot, ahead, filled, s.hp_start, hp_z)
+            run(hp_sos, hp_z, ahead, filled, ahead, filled)
+        s.taken += 1
+        s.filled = filled + 1
+        if s.filled < ahead.shape[0]:
             continue
         if ahead.shape[0] > 1:
-            backward(hp_sos, back_z, ahead, block, work)
+            backward(hp_sos, s.back_z, ahead, block, work)
         for b in range(block):
-            rows = low(ahead, b, taps, step, rectified, lp_sos, lp_z, bad, stamps, count, out, marks, rows)
+            rows = low(s, b, out, marks, rows)
         for b in range(block, ahead.shape[0]):
             for c in range(ahead.shape[1]):
                 ahead[b - block, c] = ahead[b, c]
-        count[3] -= block
+        s.filled -= block
     return rows
 
 
 @kernel
-def stamp(stamps: Times, sample: int, step: Times, phase: int, followed: bool) -> int:
+def stamp(stamps: Times, sample: int, after: Times, phase: int, followed: bool) -> int:
     """When the position `phase` / up after `sample` is; at the earliest, where the next sample is not yet known (`followed`).
 
     After a stall a device's stamps may lie closer than its rate says: the position comes before the next sample all the same.
     """
     begin = stamps[sample % stamps.shape[0], 0]
     if phase == 0 or not followed:
-        return int(begin + step[3])
-    return int(min(begin + step[3 + phase], stamps[(sample + 1) % stamps.shape[0], 0] + step[3] - 1))
+        return int(begin + after[0])
+    return int(min(begin + after[phase], stamps[(sample + 1) % stamps.shape[0], 0] + after[0] - 1))
 
 
 @kernel
-def low(
-    clean: Samples,
-    at: int,
-    taps: Samples,
-    step: Times,
-    rectified: Samples,
-    lp_sos: Samples,
-    lp_z: Samples,
-    bad: Array,
-    stamps: Times,
-    count: Times,
-    out: Samples,
-    marks: Times,
-    rows: int,
-) -> int:
-    """Rectify row `at` of `clean` and write the outputs that are then known; returns the rows written so far. See `envelope`."""
-    up, down = step[0], step[1]
+def low(s: EnvelopeState, at: int, out: Samples, marks: Times, rows: int) -> int:
+    """Rectify row `at` of `ahead` and write the outputs that are then known; returns the rows written so far. See `envelope`."""
+    clean, taps, window, stamps, up, down = s.ahead, s.taps, s.window, s.stamps, s.up, s.down
     long = taps.shape[1]
-    newest = count[1]
-    count[1] += 1
+    newest = s.rectified
+    s.rectified += 1
     here = newest % long
     for c in range(clean.shape[1]):
-        rectified[here, c] = rectified[here + long, c] = abs(clean[at, c])
-    while (count[2] * down) // up + long // 2 == newest:
-        m = count[2]
-        count[2] += 1
+        window[here, c] = window[here + long, c] = abs(clean[at, c])
+    while (s.written * down) // up + long // 2 == newest:
+        m = s.written
+        s.written += 1
         phase = (m * down) % up
         first = (newest + 1) % long
         for c in range(out.shape[1]):
@@ -205,8 +212,8 @@ def low(
         for k in range(long):
             weight = taps[phase, k]
             for c in range(out.shape[1]):
-                out[rows, c] += weight * rectified[first + k, c]
-        run(lp_sos, lp_z, out, rows, out, rows)
+                out[rows, c] += weight * window[first + k, c]
+        run(s.lp_sos, s.lp_z, out, rows, out, rows)
         sample = newest - long // 2
         lost = 0
         for k in range(min(sample, ((m - 1) * down) // up + 1) if m > 0 else 0, sample + 1):
@@ -214,9 +221,9 @@ def low(
             lost = -1 if lost < 0 or stamps[slot, 1] < 0 else lost + stamps[slot, 1]
             stamps[slot, 1] = 0
             for c in range(out.shape[1]):
-                if bad[slot, c]:
+                if s.bad[slot, c]:
                     out[rows, c] = math.nan
-        marks[rows, 0] = stamp(stamps, sample, step, phase, sample < newest)
+        marks[rows, 0] = stamp(stamps, sample, s.after, phase, sample < newest)
         marks[rows, 1] = lost
         rows += 1
     return rows

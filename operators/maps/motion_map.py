@@ -11,7 +11,8 @@ import numpy as np
 
 from kinegraph.operators.features.eigen import eigen_part, symmetric_eigen
 from kinegraph.operators.inputs.channels import names_of
-from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.compiler.record import numbers_of, record
 from kinegraph.stream.data.finite import finite
 from kinegraph.stream.data.require import regular, samples_in, width_of
 from kinegraph.stream.errors import InputError
@@ -25,6 +26,48 @@ SPREAD = 2
 """A plane is found over this part of the time until the next, so that no frame takes much longer than others."""
 NOWHERE = 1e-9
 """A cosine below this says no direction."""
+
+
+class MapNumbers:
+    min_share: float
+    every: int
+    max_rad: float
+    frames: int
+    part: int
+
+
+@record
+@dataclass(slots=True)
+class MotionMapState(MapNumbers):
+    """
+    used          (c,)     which of the input's numbers count
+    min_share              the least that a frame counts in mean and covariance
+    every                  frames after which the plane is learned again
+    max_rad                the most that axes turn from one frame to the next
+    frames                 how many frames were learned
+    mean, centre  (c,)     of all frames; of the picture
+    covariance    (c, c)
+    axes, target  (k, c)   the picture's axes; the principal axes, which they turn to
+    part                   how far the next target is found, of 3 c parts; room (c, c), lines (2, c), vectors (c, c): what is found of it
+    frame, pairs, small    room, which remembers nothing
+    """
+
+    numbers: Array
+    used: Times
+    mean: Samples
+    centre: Samples
+    covariance: Samples
+    axes: Samples
+    target: Samples
+    room: Samples
+    lines: Samples
+    vectors: Samples
+    frame: Samples
+    pairs: Samples
+    small: Samples
+
+
+NUMBERS = numbers_of(MapNumbers)
 
 
 @kernel
@@ -50,10 +93,11 @@ def take_away(v: Samples, others: Samples, count: int) -> float:
 
 
 @kernel
-def learn(x: Samples, least: float, frames: Times, mean: Samples, covariance: Samples) -> None:
-    """Take a frame into mean and covariance: all frames count the same, until a new one would count less than `least`."""
-    frames[0] += 1
-    share = max(1.0 / frames[0], least)
+def learn(s: MotionMapState) -> None:
+    """Take a frame into mean and covariance: all frames count the same, until a new one would count less than `min_share`."""
+    x, mean, covariance = s.frame, s.mean, s.covariance
+    s.frames += 1
+    share = max(1.0 / s.frames, s.min_share)
     for c in range(x.shape[0]):
         mean[c] += share * (x[c] - mean[c])
     if share == 1.0:
@@ -84,23 +128,21 @@ def principal(values: Samples, vectors: Samples, out: Samples) -> None:
 
 
 @kernel
-def look_for_plane(
-    every: int, frames: Times, covariance: Samples, part: Times, room: Samples, lines: Samples, vectors: Samples, target: Samples
-) -> None:  # fmt: skip
+def look_for_plane(s: MotionMapState) -> None:
     """One frame's share of finding the plane that the covariance had at the last multiple of `every`; the first plane is found at once."""
-    width = covariance.shape[0]
-    begins = frames[0] % every == 0
-    if begins:
-        room[:] = covariance
-        part[0] = 0
-    if part[0] == 3 * width:
+    width = s.covariance.shape[0]
+    if s.frames % s.every == 0:
+        s.room[:] = s.covariance
+        s.part = 0
+    if s.part == 3 * width:
         return
-    share = 3 * width if frames[0] == every else -(-3 * width // max(1, every // SPREAD))
-    for k in range(part[0], min(3 * width, part[0] + share)):
-        eigen_part(k, room, width, lines[0], lines[1], vectors)
-    part[0] = min(3 * width, part[0] + share)
-    if part[0] == 3 * width:
-        principal(lines[0], vectors, target)
+    share = 3 * width if s.frames == s.every else -(-3 * width // max(1, s.every // SPREAD))
+    upto = min(3 * width, s.part + share)
+    for k in range(s.part, upto):
+        eigen_part(k, s.room, width, s.lines[0], s.lines[1], s.vectors)
+    s.part = upto
+    if upto == 3 * width:
+        principal(s.lines[0], s.vectors, s.target)
 
 
 @kernel
@@ -184,48 +226,28 @@ def follow(centre: Samples, mean: Samples, most: float) -> None:
 
 
 @kernel
-def place(
-    x: Samples,
-    used: Times,
-    least: float,
-    every: int,
-    max_rad: float,
-    frames: Times,
-    frame: Samples,
-    mean: Samples,
-    centre: Samples,
-    covariance: Samples,
-    part: Times,
-    room: Samples,
-    lines: Samples,
-    vectors: Samples,
-    axes: Samples,
-    target: Samples,
-    pairs: Samples,
-    small: Samples,
-    out: Samples,
-    explained: Samples,
-) -> None:
+def place(s: MotionMapState, x: Samples, out: Samples, explained: Samples) -> None:
     """Places of the poses `x` (n, width) into `out` (n, k), each axis's share of the variance so far into `explained` (n, k)."""
+    frame, mean, centre, covariance, axes = s.frame, s.mean, s.centre, s.covariance, s.axes
     for i in range(x.shape[0]):
         whole = True
-        for c in range(used.shape[0]):
-            frame[c] = finite(x[i, used[c]])
+        for c in range(s.used.shape[0]):
+            frame[c] = finite(x[i, s.used[c]])
             whole = whole and frame[c] == frame[c]
         if whole:
-            learn(frame, least, frames, mean, covariance)
-            if frames[0] >= every:
-                look_for_plane(every, frames, covariance, part, room, lines, vectors, target)
-            if frames[0] == every:
-                axes[:] = target
+            learn(s)
+            if s.frames >= s.every:
+                look_for_plane(s)
+            if s.frames == s.every:
+                axes[:] = s.target
                 centre[:] = mean
         total = 0.0
         for c in range(mean.shape[0]):
             total += covariance[c, c]
-        learned = frames[0] >= every
-        if whole and frames[0] > every:
-            turn(axes, target, max_rad, pairs, small)
-            follow(centre, mean, max_rad * math.sqrt(total))
+        learned = s.frames >= s.every
+        if whole and s.frames > s.every:
+            turn(axes, s.target, s.max_rad, s.pairs, s.small)
+            follow(centre, mean, s.max_rad * math.sqrt(total))
         for k in range(axes.shape[0]):
             out[i, k] = math.nan
             explained[i, k] = math.nan
@@ -238,40 +260,6 @@ def place(
                 for c in range(mean.shape[0]):
                     held += axes[k, c] * dot(covariance[c], axes[k])
                 explained[i, k] = held / total
-
-
-@dataclass(slots=True)
-class MotionMapState:
-    """
-    used          (c,)     which of the input's numbers count
-    least                  the least that a frame counts in mean and covariance
-    every                  frames after which the plane is learned again
-    max_rad               the most that axes turn from one frame to the next
-    frames        (1,)     how many frames were learned
-    mean, centre  (c,)     of all frames; of the picture
-    covariance    (c, c)
-    axes, target  (k, c)   the picture's axes; the principal axes, which they turn to
-    part          (1,)     how far the next target is found, of 3 c parts; room (c, c), lines (2, c), vectors (c, c): what is found of it
-    frame, pairs, small    room, which remembers nothing
-    """
-
-    used: Times
-    least: float
-    every: int
-    max_rad: float
-    frames: Times
-    mean: Samples
-    centre: Samples
-    covariance: Samples
-    axes: Samples
-    target: Samples
-    part: Times
-    room: Samples
-    lines: Samples
-    vectors: Samples
-    frame: Samples
-    pairs: Samples
-    small: Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,17 +308,13 @@ class MotionMap(Operator[MotionMapState]):
                 f"{k} to {WIDEST} features (operators.filters.channels.Select takes some of them)",
             )
         state = MotionMapState(
+            numbers=np.zeros((), NUMBERS),
             used=used,
-            least=1.0 / (1 + samples_in("memory_s", self.memory_s, rate_hz)) if self.memory_s else 0.0,
-            every=max(2, samples_in("learn_s", self.learn_s, rate_hz)),
-            max_rad=float(np.radians(self.rotation_deg_per_s)) / rate_hz,
-            frames=np.zeros(1, np.int64),
             mean=np.zeros(c),
             centre=np.zeros(c),
             covariance=np.zeros((c, c)),
             axes=np.zeros((k, c)),
             target=np.zeros((k, c)),
-            part=np.array([3 * c], np.int64),
             frame=np.zeros(c),
             room=np.zeros((c, c)),
             lines=np.zeros((2, c)),
@@ -338,6 +322,10 @@ class MotionMap(Operator[MotionMapState]):
             pairs=np.zeros((3, k, c)),
             small=np.zeros((3, k + 2, k + 2)),
         )
+        state.min_share = 1.0 / (1 + samples_in("memory_s", self.memory_s, rate_hz)) if self.memory_s else 0.0
+        state.every = max(2, samples_in("learn_s", self.learn_s, rate_hz))
+        state.max_rad = float(np.radians(self.rotation_deg_per_s)) / rate_hz
+        state.part = 3 * c
         self.set_state(state)
         made = spec.derive(
             shape=(k,),
@@ -353,10 +341,7 @@ class MotionMap(Operator[MotionMapState]):
         out, explained = np.empty((n, self.axes)), np.empty((n, self.axes))
         if n:
             x = np.ascontiguousarray(chunk.data, np.float64)
-            place(
-                x, s.used, s.least, s.every, s.max_rad, s.frames, s.frame, s.mean, s.centre, s.covariance, s.part, s.room,
-                s.lines, s.vectors, s.axes, s.target, s.pairs, s.small, out, explained,
-            )  # fmt: skip
+            place(s, x, out, explained)
         return [
             ("map", Chunk(chunk.time, out, chunk.until, chunk.lost)),
             ("explained", Chunk(chunk.time, explained, chunk.until, chunk.lost)),
