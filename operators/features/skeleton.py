@@ -20,7 +20,7 @@ SIDED: dict[str, tuple[str, ...]] = {
 CENTRAL: dict[str, tuple[str, ...]] = {
     "root": ("hipcenter", "spinebase", "hips", "pelvis", "root", "lfwt+rfwt+lbwt+rbwt", "lasi+rasi+lpsi+rpsi"),
     "neck": ("shouldercenter", "spineshoulder", "neck", "thorax", "c7", "upperneck"),
-    "head": ("headtop", "headend", "lfhd+rfhd+lbhd+rbhd", "head"),
+    "head": ("headtop", "headend", "lfhd+rfhd+lbhd+rbhd", "head", "nose"),
 }
 """The same for joints in the middle."""
 

@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from kinegraph.devices.formats.table.landmarks import read_landmarks
 from kinegraph.devices.formats.timing import UNITS, check_order, grid_of, to_ns, unit_in
 from kinegraph.stream.chunk import NS, Array, StreamSpec, Times
 from kinegraph.stream.data.tables import FileColumn, read_csv, read_rows
@@ -48,8 +49,10 @@ def read_kinect(
     order and axes, with three or four numbers each, the fourth being that state. A joint at exactly 0, 0, 0 was not seen either. Where the
     times do not say their unit, it is the one in which 4 to 70 frames make a second. With `rate_hz`, the number of a frame takes the place
     of the time, and `rate_hz` numbers make a second: the first frame is at time 0, and numbers left out are lost frames (where all steps
-    are multiples of two, every second number). Raises RecordingError with file and line.
+    are multiples of two, every second number). Tables of 33 landmarks: see landmarks.py. Raises RecordingError with file and line.
     """
+    if (landmarks := read_landmarks(path, rate_hz, start_ns)) is not None:
+        return landmarks
     rows = read_rows(path)
     columns = read_csv(path) if rows is None else {}
     names, data, clock, result, row = _named(path, columns, rate_hz) if rows is None else _ordered(path, rows)
