@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.devices.synthesis.blend_kernel import blended
 from kinegraph.devices.synthesis.goals import Aim
 from kinegraph.devices.synthesis.walker import GraphWalk
-from kinegraph.stream.chunk import NS, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
 from kinegraph.stream.domain.humanoid import BONES
 from kinegraph.stream.domain.motion_graph import MotionGraph
 from kinegraph.stream.errors import ParameterError, nearest
@@ -189,8 +189,9 @@ class Synthesis(Source):
 
 
 def _left(walker: GraphWalk) -> float:
-    """How far it is to the end of the path (m)."""
-    if not len(walker.progress.path):
+    """How far it is to the end of the path (m): to where it has been followed up to, and from there along it."""
+    progress = walker.progress
+    if not len(progress.path):
         return np.inf
-    end: Samples = walker.progress.path[-1]
-    return walker.progress.left_m + float(np.hypot(end[0] - walker.pose[0], end[1] - walker.pose[2]))
+    x, z = (float(np.interp(progress.along, progress.sought.length, progress.path[:, k])) for k in (0, 1))
+    return progress.left_m + float(np.hypot(x - walker.pose[0], z - walker.pose[2]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 from dataclasses import replace
 from itertools import pairwise
@@ -358,6 +359,8 @@ def test_a_target_out_of_reach_ends_the_walk_and_says_so(tmp_path: Path) -> None
     feed = Heard({}, most=4000)
     Synthesis(model=tmp_path / "spot.npz", target=(5.0, 5.0), realtime=False).read(feed)  # type: ignore[arg-type]
     assert feed.reports and "not reached" in feed.reports[-1] and not feed.stopped
+    left = float(re.search(r"'left_m': ([0-9.]+)", feed.reports[-1])[1])  # type: ignore[index]
+    assert left <= 5.0 * 2**0.5 + 0.5  # the way was counted twice: along the path, and straight to its end
 
 
 def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph: Command) -> None:
