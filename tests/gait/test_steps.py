@@ -369,5 +369,5 @@ def test_a_model_that_only_guesses_says_so_and_is_uncertain_at_every_step(tmp_pa
     ("subjects", "chance", "better"), [(0.6, 0.05, True), (0.5, 0.01, False), (0.4, 0.01, False), (0.6, 0.06, False)]
 )
 def test_as_good_as_the_largest_class_is_not_better_than_guessing(subjects: float, chance: float, better: bool) -> None:
-    trusted = Trust("all", 0.9, subjects, 0.5, 3, 5, 0.2, 0.9, chance, [], np.zeros((0, 2)))
+    trusted = Trust("all", 0.9, subjects, 0.5, subjects - 0.05, 3, 5, 0.2, 0.9, chance, [], np.zeros((0, 2)))
     assert (trusted.verdict == "better than guessing") == better
