@@ -1,6 +1,8 @@
 """Qualisys' real-time protocol (QTM RT, little-endian): packets, commands, markers and bodies. Bytes in, no socket, no clock.
 
-Source: Qualisys' public protocol documentation (1.20); its own client qtm-rt reads what `build_data` makes.
+Source: Qualisys' public protocol documentation (1.20); its own client qtm-rt reads what `build_data` makes (tests/peers). We do
+not read with it: it owns its socket and an asyncio loop, so that packets cannot be cut anywhere in tests and arrivals are stamped late, and
+the simulator needs the same packets all the same.
 """
 
 from __future__ import annotations

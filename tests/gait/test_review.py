@@ -128,7 +128,13 @@ def test_the_shipped_graphs_hear_a_person_and_replay_recordings_that_hold_no_wor
     assert reviews
     for name in reviews:
         assert str(live.nodes[name].inputs["annotations"]) == "annotations"
-        assert sorted({*imported.nodes[name].inputs} - {"manner"}) == ["closed", "contacts", "cycles", "quality", "timing"]
+        assert sorted({*imported.nodes[name].inputs} - {"manner"}) == [
+            "closed",
+            "contacts",
+            "cycles",
+            "quality",
+            "timing",
+        ]
 
 
 def test_what_is_typed_in_a_session_of_the_shipped_graph_counts_in_its_replay(tmp_path: Path) -> None:
