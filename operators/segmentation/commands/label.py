@@ -32,7 +32,7 @@ class Exemplar:
 def label(
     recording: Annotated[
         File,
-        typer.Argument(metavar="RECORDING", help="what `kinegraph run` or `replay` made of configs/segment_mocap.yaml"),
+        typer.Argument(metavar="RECORDING", help="what `kinegraph run` or `replay` made of segment_mocap"),
     ],
     shown: Annotated[
         list[str] | None,
@@ -148,7 +148,7 @@ def _features(recording: Recording, name: str) -> tuple[StreamSpec, Array, Sampl
         known = nearest(name, recording.streams)
         raise KinegraphError(
             f"{recording.path}: there is no stream {name}; {known}. A recording of raw joints goes through "
-            "`kinegraph replay configs/segment_mocap.yaml RECORDING -o MADE` first; teach from MADE"
+            "`kinegraph replay segment_mocap RECORDING -o MADE` first; teach from MADE"
         )
     spec = recording.stream(name).spec
     if not spec.is_signal:
