@@ -192,9 +192,10 @@ def test_two_sleepers_nights_are_not_mixed(kinegraph: Command, tmp_path: Path) -
 def test_a_sentence_for_whoever_slept_stands_on_top(tmp_path: Path) -> None:
     folder = logged(tmp_path, "2026-11-02T23:05", "wssswssssssssss?")
     facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
-    shown = "Asleep 6 h 30 min, awake 1 h 00 min in two stretches; in bed 23:05 to 07:05; 30 min not known."
+    error = "5 h 02 min to 7 h 02 min by the published error of such scores"
+    shown = f"Asleep 6 h 30 min ({error}), awake 1 h 00 min in two stretches; in bed 23:05 to 07:05; 30 min not known."
     assert sentence(facts, epochs) == shown
-    assert headline(facts) == "Asleep 6 h 30 min, 81 % of the time, 23:05 to 07:05" and len(headline(facts)) <= 60
+    assert headline(facts) == "Asleep 6 h 30 min (5.0–7.0 h), 81 %, 23:05 to 07:05" and len(headline(facts)) <= 60
     page = draw(folder).read_text()
     assert page.index(shown) < page.index("Total sleep time") and f'content="{headline(facts)}"' in page
 

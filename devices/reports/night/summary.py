@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from kinegraph.devices.reports.night.archive import Facts, LoggedEpochs, clock, nanoseconds, night_zone
-from kinegraph.devices.reports.night.numbers import NO_NUMBERS, WHY, runs
+from kinegraph.devices.reports.night.numbers import NO_NUMBERS, WHY, asleep_range, runs
 from kinegraph.stream.text.time_text import in_hours
 
 COUNTED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
@@ -24,7 +26,7 @@ def sentence(facts: Facts, epochs: LoggedEpochs) -> str:
     states, minutes = part.texts["state"], facts.epoch_s / 60
     awake = float((states == "wake").sum()) * minutes
     stretches = len(runs(states == "wake"))
-    asleep = f"Asleep {_long(n['tst'])}" if n["tst"] else "Not seen asleep"
+    asleep = f"Asleep {_long(n['tst'])}{_error(n)}" if n["tst"] else "Not seen asleep"
     wake = f"awake {_long(awake)} in {_count(stretches)} stretch{'' if stretches == 1 else 'es'}"
     begin, end = clock(int(n["onset"]), zone), clock(int(n["end"]), zone)
     whole = (int(n["end"]) - int(n["onset"])) / 60e9
@@ -35,13 +37,21 @@ def sentence(facts: Facts, epochs: LoggedEpochs) -> str:
 
 
 def headline(facts: Facts) -> str:
-    """The same in at most 60 characters: for a notification."""
+    """The same in at most 60 characters: for a notification. In brackets: within the published error of such scorers."""
     n = facts.numbers
     if not n:
         return "The night goes on" if not facts.closed else "A night without numbers"
     begin, end = (clock(int(n[name]), night_zone(facts)) for name in ("onset", "end"))
-    efficient = f", {n['se']:.0f} % of the time" if n["se"] is not None else ""
-    return f"Asleep {_long(n['tst'])}{efficient}, {begin:%H:%M} to {end:%H:%M}"
+    found = asleep_range(n)
+    error = f" ({found[0] / 60:.1f}–{found[1] / 60:.1f} h)" if found else ""
+    efficient = f", {n['se']:.0f} %" if n["se"] is not None else ""
+    return f"Asleep {_long(n['tst'])}{error}{efficient}, {begin:%H:%M} to {end:%H:%M}"
+
+
+def _error(numbers: dict[str, Any]) -> str:
+    """What the published error of such scorers makes of the time asleep."""
+    found = asleep_range(numbers)
+    return f" ({_long(found[0])} to {_long(found[1])} by the published error of such scores)" if found else ""
 
 
 WEBSTER = {
