@@ -56,11 +56,21 @@ NEAR_AXIS_M = 0.10
 """The trunk's surface is what is seen within this distance of its axis."""
 MOST_WIDTH = 160
 LEAST_PIXELS = 60
+ARMS, LEGS = (1, 2), (3, 4)
+"""Left and right of ENDS."""
+HAVE_SIDES = [k for k, name in enumerate(MARKERS) if name.startswith(("left_", "right_"))]
 LEAP_M, REMEMBERED_S = 0.35, 0.5
 """An end that leaps farther from a frame to the next is doubtful; of a body that does, nothing that was remembered holds."""
 KEEPS = 0.8
 TOWARDS = (0.0, -0.3)
 """What speaks for facing the camera as long as nothing is known."""
+FACES = 0.5
+"""How likely whoever comes into view faces the way that the shape of the first frame shows (log odds)."""
+SPEAKS, MOST_ODDS, CHANGES, SURE = 1.0, 2.0, -0.1, 0.1
+"""How much the shape of a frame that is sure of it counts for the heading, or against it, and the most that it adds up to; below which the
+heading is turned round; below which it is as likely as not that left is left: what has another side is missing then."""
+CROSSED_M, ASTRAY_M = (0.10, 0.04), 0.15
+"""Elbows that lie on each other's side by the first, and knees by the second, are exchanged; one alone, by the third, is nobody's."""
 ALONG = 0.4
 """The chest is widest along the shoulders if that is so far from where the shape says that the left is (a cosine)."""
 
@@ -70,6 +80,7 @@ class ExtremaState:
     """
     camera   (4,)    fx, fy, cx, cy in pixels
     heading  (2,)    x and z of where the person faces
+    odds     log odds that this is not the other way round, and left is left
     before   (5, 3)  where the ends were when they were seen last (m; NaN: never)
     seen     (5,)    when that was (ns)
     middle   (3,)    where its middle was then (m)
@@ -78,6 +89,7 @@ class ExtremaState:
 
     camera: Samples
     heading: Samples
+    odds: float
     before: Samples
     seen: Array
     middle: Samples
@@ -118,7 +130,9 @@ class Extrema(Operator[ExtremaState]):
             raise InputError("in", "a stream of unknown geometry", "one with `camera` in its spec: fx, fy, cx, cy")
         n = len(ENDS)
         self.set_state(
-            ExtremaState(np.array(camera), np.zeros(2), np.full((n, 3), np.nan), np.zeros(n, np.int64), np.zeros(3), 0)
+            ExtremaState(
+                np.array(camera), np.zeros(2), 0.0, np.full((n, 3), np.nan), np.zeros(n, np.int64), np.zeros(3), 0
+            )
         )
         return markers_specs(spec)
 
@@ -139,7 +153,7 @@ class Extrema(Operator[ExtremaState]):
         if surface_of(depth, s.camera, step, points) < LEAST_PIXELS:
             return
         if time - s.last > self.reset_gap_s * NS:
-            s.heading[:], s.before[:], s.seen[:] = 0.0, np.nan, 0
+            s.heading[:], s.odds, s.before[:], s.seen[:] = 0.0, 0.0, np.nan, 0
         s.last = time
         self._face(depth)
         size = self.height_m / 1.75
@@ -169,6 +183,9 @@ class Extrema(Operator[ExtremaState]):
         across = self._across(size, points, middle, out)
         ends = [int(found[k]) if k >= 0 else -1 for k in named]
         self._trunk(size, points, hips_between(size, points, parent, ends, middle), across, out, confidence)
+        self._own_sides(size, across, out, confidence)
+        if s.odds < SURE:
+            confidence[HAVE_SIDES] = 0.0
         confidence[~possible(size, out) | outside(out, s.camera, depth.shape)] = 0.0
         out[confidence < 0.5] = np.nan
 
@@ -184,7 +201,40 @@ class Extrema(Operator[ExtremaState]):
         shape, facing, heading = np.empty((2, CELLS, CELLS)), np.zeros(2), self.state.heading
         shape_of(depth, shape)
         facing_of(shape, *weights(), facing)
-        heading[:] = KEEPS * heading + (1 - KEEPS) * facing if heading.any() else facing + TOWARDS
+        if not heading.any():
+            heading[:] = facing + TOWARDS
+            self.state.odds = FACES
+        speaks = SPEAKS * math.hypot(*facing) * float(facing @ heading) / math.hypot(*heading)
+        self.state.odds = min(self.state.odds + speaks, MOST_ODDS)
+        if self.state.odds < CHANGES:
+            heading *= -1.0
+            self.state.odds *= -1.0
+            self._exchange(ARMS, LEGS)
+        heading[:] = KEEPS * heading + (1 - KEEPS) * facing
+
+    def _exchange(self, *ends: tuple[int, int]) -> None:
+        """Take what was remembered of a left end for that of the right one."""
+        s = self.state
+        for left, right in ends:
+            s.before[[left, right]], s.seen[[left, right]] = s.before[[right, left]], s.seen[[right, left]]
+
+    def _own_sides(self, size: float, left: Samples, out: Samples, trust: Samples) -> None:
+        """Exchange arms, or legs, that are on each other's side, and leave out one that is alone on the other side."""
+        hips = 0.5 * (out[MARKERS.index("left_hip")] + out[MARKERS.index("right_hip")])
+        if not np.isfinite(hips).all():
+            return
+        for ends, names, crossed in zip(
+            (ARMS, LEGS), (("elbow", "wrist"), ("knee", "ankle", "toe")), CROSSED_M, strict=True
+        ):
+            pairs = [(MARKERS.index(f"left_{n}"), MARKERS.index(f"right_{n}")) for n in names]
+            aside = [float((out[k] - hips) @ left) / size for k in pairs[0]]
+            if aside[1] - aside[0] > crossed:
+                self._exchange(ends)
+                for a, b in pairs:
+                    out[[a, b]], trust[[a, b]] = out[[b, a]], trust[[b, a]]
+            elif (np.isnan(aside[1]) and aside[0] < -ASTRAY_M) or (np.isnan(aside[0]) and aside[1] > ASTRAY_M):
+                trust[[k for pair in pairs for k in pair]] = 0.0
+                self.state.seen[list(ends)] = 0
 
     def _left(self) -> Samples:
         """The direction of the person's left."""

@@ -16,6 +16,14 @@ from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
+PARTS = tuple(
+    tuple((MARKERS.index(f"left_{name}"), MARKERS.index(f"right_{name}")) for name in names)
+    for names in (("ear", "shoulder", "elbow", "wrist"), ("hip", "knee", "ankle", "heel", "toe"))
+)
+"""Left and right markers of the arms, with the head's, and of the legs."""
+CLEARLY = 2.0
+"""Two ways agree on left and right if their markers are so many times nearer to each other than with these exchanged."""
+
 
 @dataclass(slots=True)
 class SurerState:
@@ -40,8 +48,9 @@ class Surer(Operator[SurerState]):
     second  the same markers of the same moments by another way: its sample of the same stamp counts
 
     A way is as sure as it sees markers. `first` is taken as long as it sees `least` of them; when it has not for `patience` samples in a
-    row, `second` is, until `first` is back for as many. A marker that `first` misses is taken from `second` where the bones to those of
-    `first` are then as long as bones are; else it stays missing.
+    row, or sees nothing at all, `second` is, until `first` is back for as many. A marker that `first` misses is taken from `second`
+    where both agree on which arm, or leg, is the left one, and the bones to those of `first` are then as long as bones are; else it
+    stays missing.
 
     >>> given, made = tried(Surer)
     >>> np.isfinite(given["first"]).mean().round(2).item(), np.isfinite(made).mean().round(2).item()
@@ -77,7 +86,7 @@ class Surer(Operator[SurerState]):
             s.streak = s.streak + 1 if sees != s.first else 0
             if s.streak >= self.patience:
                 s.first, s.streak = sees, 0
-            if not s.first:
+            if not s.first or (s.at == time and np.isnan(out[i]).all()):
                 out[i] = s.newest if s.at == time else np.nan
             elif s.at == time and self.fill:
                 _fill(out[i], s.newest)
@@ -105,6 +114,22 @@ def _fill(out: Samples, other: Samples) -> None:
     missing: NDArray[np.bool_] = np.array(~np.isfinite(out).all(axis=1))
     if not missing.any():
         return
+    other = np.where(_agreed(out, other)[:, None], other, np.nan)
     both = np.where(missing[:, None], other, out)
     allowed = possible(1.0, both)
     out[missing & allowed] = other[missing & allowed]
+
+
+def _agreed(first: Samples, second: Samples) -> NDArray[np.bool_]:
+    """For each marker (20,) whether both ways (20, 3) take the same arm, or leg, for the left one, by the pairs that both see."""
+    agreed = np.array([not name.startswith(("left_", "right_")) for name in MARKERS])
+    for part in PARTS:
+        straight = crossed = 0.0
+        for left, right in part:
+            pair, twin = [left, right], [right, left]
+            if np.isfinite(first[pair]).all() and np.isfinite(second[pair]).all():
+                straight += float(np.linalg.norm(first[pair] - second[pair], axis=1).sum())
+                crossed += float(np.linalg.norm(first[pair] - second[twin], axis=1).sum())
+        for pair in part:
+            agreed[list(pair)] = crossed > CLEARLY * straight
+    return agreed

@@ -15,6 +15,8 @@ SIDE = 4
 """Bones of the right side come this much after those of the left one; landmarks come left and right in turn."""
 HIP_AT, KNEE_AT, ANKLE_AT, SHOULDER_AT, ELBOW_AT, WRIST_AT = 0, 2, 4, 6, 8, 10
 HEAD_AT, NECK_AT, ROOT_AT, TOE_AT, HAND_AT, NOSE_AT, EAR_AT = 12, 13, 14, 15, 17, 19, 20
+BENT = 0.35
+"""From this bend on (how far the middle joint is from the limb's axis, in halves of its length) a limb shows how it bends: 39 degrees."""
 
 
 @kernel
@@ -57,6 +59,40 @@ def two_bones(
 
 
 @kernel
+def smooth_step(x: float) -> float:
+    x = min(max(x, 0.0), 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+@kernel
+def towards_straight(start: Samples, end: Samples, pole: Samples, upper: float, lower: float, out: Samples) -> None:
+    """Where a limb of two bones is to end, `out` (3,), that ends at `end` by its markers: as near as its middle joint's bend lets it.
+
+    By the law of cosines an error of 5 mm in the length of a straight leg moves its knee by 5 cm. How far the middle joint's own
+    marker lies from the axis shows the bend of a straight limb much better; of one that is bent, the distance of its ends does.
+    """
+    axis, aside = out, 0.0
+    for a in range(3):
+        axis[a] = end[a] - start[a]
+    far = unit(axis)
+    along = 0.0
+    for a in range(3):
+        along += axis[a] * (pole[a] - start[a])
+    for a in range(3):
+        aside += (pole[a] - start[a] - along * axis[a]) ** 2
+    aside = math.sqrt(aside)
+    half = 0.5 * (upper + lower)
+    share = smooth_step(aside / (BENT * half))
+    if share < 1.0 and far > 0.5 * half:
+        reached = min(far, upper + lower)
+        straight = (upper * upper - lower * lower + reached * reached) / (2.0 * reached)
+        bend = share * math.sqrt(max(upper * upper - straight * straight, 0.0)) + (1.0 - share) * aside
+        far = math.sqrt(max(upper * upper - bend * bend, 0.0)) + math.sqrt(max(lower * lower - bend * bend, 0.0))
+    for a in range(3):
+        out[a] = start[a] + far * axis[a]
+
+
+@kernel
 def place_from(bone: int, parent: int, offsets: Samples, turns: Samples, joints: Samples) -> None:
     """Where the joint `bone` is: at its offset from its parent's."""
     turn(turns[parent], offsets[bone], joints[bone])
@@ -86,17 +122,22 @@ def fit_limb(
     turns: Samples,
     joints: Samples,
     work: Samples,
+    exactly: bool,
 ) -> None:
     """Bring a limb of two bones from `first`, a placed joint, onto its markers: those of the middle and of the end, where known.
 
-    The middle joint's marker, or else the turns as they are, say on which side it lies. `work` (6, 4).
+    The middle joint's marker, or else the turns as they are, say on which side it lies, and of a limb that is nearly straight how far,
+    unless its end is to be reached `exactly`. `work` (6, 4).
     """
     middle, end = first + 1, first + 2
     place_from(middle, first, offsets, turns, joints)
     if known[end_at]:
         pole = marks[middle_at] if known[middle_at] else joints[middle]
         upper, lower = length_of(offsets[middle]), length_of(offsets[end])
-        two_bones(joints[first], marks[end_at], pole, upper, lower, work[3, :3], work[4, :3], work)
+        work[5, :3] = marks[end_at]
+        if known[middle_at] and not exactly:
+            towards_straight(joints[first], marks[end_at], pole, upper, lower, work[5, :3])
+        two_bones(joints[first], work[5, :3], pole, upper, lower, work[3, :3], work[4, :3], work)
         point_bone(first, middle, work[3, :3], offsets, turns, joints, work)
         point_bone(middle, end, work[4, :3], offsets, turns, joints, work)
     elif known[middle_at]:
@@ -199,14 +240,14 @@ def fit_pose(
     fit_trunk(marks, known, offsets, turns, joints, work)
     fit_head(marks, known, from_bone, offsets, turns, joints, work)
     for side in range(2):
-        fit_limb(ARM + SIDE * side, ELBOW_AT + side, WRIST_AT + side, marks, known, offsets, turns, joints, work)
+        fit_limb(ARM + SIDE * side, ELBOW_AT + side, WRIST_AT + side, marks, known, offsets, turns, joints, work, False)
         hand = HAND + SIDE * side
         if known[HAND_AT + side]:
             work[3, :3] = marks[HAND_AT + side] - joints[hand]
             swing(turns[hand], from_bone[HAND_AT + side], work[3, :3], work)
         thigh, foot = THIGH + SIDE * side, FOOT + SIDE * side
         place_from(thigh, HIPS, offsets, turns, joints)
-        fit_limb(thigh, KNEE_AT + side, ANKLE_AT + side, marks, known, offsets, turns, joints, work)
+        fit_limb(thigh, KNEE_AT + side, ANKLE_AT + side, marks, known, offsets, turns, joints, work, False)
         if known[TOE_AT + side]:
             point_bone(foot, foot + 1, marks[TOE_AT + side], offsets, turns, joints, work)
         else:

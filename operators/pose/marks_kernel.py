@@ -19,6 +19,8 @@ from kinegraph.stream.kernel import kernel
 
 LEAP_M, LEAP_M_S, DOUBTED = 0.3, 8.0, 3
 """A marker farther from where it is expected than this, and this times the period, is not believed for this many samples."""
+EASES_S, EASES_M = 0.08, 1.0
+"""A marker that is seen again is gone to by degrees, this quickly; not where it is farther away, or no marker was seen before."""
 STILL_M = 0.12
 """Who stands for the calibration keeps hips, knees, ankles and shoulders within this distance."""
 NEEDED = 8
@@ -71,13 +73,25 @@ def shift_of(marks: Samples, before: Samples, seen: Array, shift: Samples) -> No
 
 @kernel
 def complete_marks(
-    marks: Samples, before: Samples, seen: Array, present: Array, doubts: Samples, dt: float, shift: Samples
-) -> int:
-    """Put guesses in place of landmarks that are present in the stream and not seen now; returns how many are seen after the doubtful ones.
+    marks: Samples,
+    before: Samples,
+    seen: Array,
+    present: Array,
+    doubts: Samples,
+    eases: Samples,
+    dt: float,
+    shift: Samples,
+) -> tuple[int, bool]:
+    """Put guesses in place of landmarks that are present in the stream and not seen now; returns how many are seen after the doubtful
+    ones, and whether any was in the sample before.
 
     before  (m, 3) where the landmarks were; a guess has moved with the trunk   doubts (m,) for how many samples each has been doubted
+    eases  (m, 4)  how far each still is from its marker since it was seen again, and whether it was guessed in the sample before
     """
     shift_of(marks, before, seen, shift)
+    ease, followed = math.exp(-dt / EASES_S), 0
+    for k in range(marks.shape[0]):
+        followed += present[k] and eases[k, 3] == 0.0
     limit = LEAP_M + LEAP_M_S * dt
     found = 0
     for k in range(marks.shape[0]):
@@ -94,10 +108,18 @@ def complete_marks(
                 doubts[k] = 0.0
         if seen[k]:
             found += 1
+            if eases[k, 3] > 0.0:
+                for a in range(3):
+                    away = before[k, a] + shift[a] - marks[k, a]
+                    eases[k, a] = away if followed and abs(away) < EASES_M else 0.0
+            for a in range(3):
+                eases[k, a] *= ease
+                marks[k, a] += eases[k, a]
         else:
             for a in range(3):
                 marks[k, a] = before[k, a] + shift[a]
-    return found
+        eases[k, 3] = 0.0 if seen[k] else 1.0
+    return found, followed > 0
 
 
 @kernel

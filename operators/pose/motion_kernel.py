@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from kinegraph.operators.pose.limb_kernel import ANKLE_AT, FOOT, HIP_AT, KNEE_AT, SIDE, THIGH, fit_limb, place_from
-from kinegraph.operators.pose.rotation_kernel import angle_between, dot, normalise, part_way, relative, unit
+from kinegraph.operators.pose.limb_kernel import ANKLE_AT, FOOT, KNEE_AT, SIDE, THIGH, fit_limb, place_from
+from kinegraph.operators.pose.rotation_kernel import angle_between, normalise, part_way, relative
 from kinegraph.stream.chunk import Array, Samples, Times
 from kinegraph.stream.domain.skeleton import multiply
 from kinegraph.stream.kernel import kernel
@@ -30,13 +30,9 @@ far from its resting place; the heights for both."""
 DRIFTS, DRIFTS_M_S, LEAVES_M_S, NOISY_EASE, NOISY_EASE_M, MOST_EASE_M = 0.05, 0.03, 0.57, 0.5, 0.006, 0.02
 """Where it stands follows the marker by this share a sample, at most so fast, and it is not let go faster than that (m/s); then, as EASE;
 at most this much a sample."""
-BENT, AHEAD, BENDS_RAD_S = 1.5, 0.5, 8.0
-"""Of a noisy marker of a knee, how it bent before, and that knees bend forwards, count as much as if it were these many times the noise
-aside now; the direction turns no faster than the third."""
-STANDS, LOCK, AWAY, WAS, SPEED, WENT, CHANGE, QUIET, HEARD, SLOW, PUT, KNEE = 0, 1, 4, 7, 10, 12, 14, 15, 16, 17, 19, 22
-"""Columns of `feet` (2, 25): whether it stands; where; how far it is from its marker; where that was; its speed; whether it has one (11);
-its level step; by how much that changes; the noise; for how long that was heard (s); its mean place, level; where the foot was put; where
-the knee bent to."""
+STANDS, LOCK, AWAY, WAS, SPEED, WENT, CHANGE, QUIET, HEARD, SLOW, PUT = 0, 1, 4, 7, 10, 12, 14, 15, 16, 17, 19
+"""Columns of `feet` (2, 22): whether it stands; where; how far it is from its marker; where that was; its speed; whether it has one (11);
+its level step; by how much that changes; the noise; for how long that was heard (s); its mean place, level; where the foot was put."""
 
 
 @kernel
@@ -129,52 +125,6 @@ def plant(side: int, ankle: Samples, dt: float, ground: float, feet: Samples) ->
 def _noisy(foot: Samples) -> bool:
     """Whether a foot's marker leaps by itself."""
     return bool(foot[HEARD] >= KNOWN_S and foot[QUIET] > NOISY_M)
-
-
-@kernel
-def steady_knees(marks: Samples, known: Array, left: Samples, dt: float, feet: Samples, work: Samples) -> None:
-    """Put noisy knees on the side of their legs on which they were: a nearly straight leg's marker is anywhere around it. `work` (4, 4).
-
-    left  (3,) the level direction to the body's left
-    """
-    for side in range(2):
-        foot, hip, knee, ankle = feet[side], HIP_AT + side, KNEE_AT + side, ANKLE_AT + side
-        if not (_noisy(foot) and known[hip] and known[knee] and known[ankle]):
-            continue
-        axis, aside, way, was = work[0, :3], work[1, :3], work[2, :3], work[3, :3]
-        axis[:] = marks[ankle] - marks[hip]
-        aside[:] = marks[knee] - marks[hip]
-        if unit(axis) == 0.0:
-            continue
-        along, before = dot(aside, axis), dot(foot[KNEE : KNEE + 3], axis)
-        ahead = left[0] * axis[2] - left[2] * axis[0]
-        for a in range(3):
-            aside[a] -= along * axis[a]
-            was[a] = foot[KNEE + a] - before * axis[a]
-        known_before = unit(was) > 0.0
-        for a in range(3):
-            front = -left[2] if a == 0 else left[0] if a == 2 else 0.0
-            way[a] = aside[a] + foot[QUIET] * (BENT * was[a] + AHEAD * (front - ahead * axis[a]))
-        unit(way)
-        if known_before:
-            _turn_towards(was, BENDS_RAD_S * dt, way)
-        far = max(dot(aside, way), 0.0)
-        for a in range(3):
-            foot[KNEE + a] = way[a]
-            marks[knee, a] += far * way[a] - aside[a]
-
-
-@kernel
-def _turn_towards(was: Samples, most: float, way: Samples) -> None:
-    """Let the direction `way` (3,) be at most `most` rad from `was`."""
-    c = dot(was, way)
-    if c >= math.cos(most):
-        return
-    for a in range(3):
-        way[a] -= c * was[a]
-    unit(way)
-    for a in range(3):
-        way[a] = math.cos(most) * was[a] + math.sin(most) * way[a]
 
 
 @kernel
@@ -279,9 +229,7 @@ def put_feet(
             was_known = known[ankle]
             marks[ankle] = work[6, :3]
             known[ankle] = True
-            if _noisy(feet[side]) and dot(feet[side, KNEE : KNEE + 3], feet[side, KNEE : KNEE + 3]) > 0.0:
-                marks[knee] = joints[thigh] + feet[side, KNEE : KNEE + 3]
-            fit_limb(thigh, knee, ankle, marks, known, offsets, turns, joints, work)
+            fit_limb(thigh, knee, ankle, marks, known, offsets, turns, joints, work, True)
             marks[ankle], marks[knee] = work[7, :3], work[8, :3]
             known[ankle] = was_known
             place_from(foot + 1, foot, offsets, turns, joints)

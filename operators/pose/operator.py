@@ -29,7 +29,7 @@ NOTES = ("left foot stands", "right foot stands", "calibrated", "outside")
 
 @dataclass(slots=True)
 class WholePoseState:
-    """What is remembered from one sample to the next; see `Solver`, and for `tally` (12,) operators/pose/upright.py."""
+    """What is remembered from one sample to the next; see `Solver`, and for `tally` (15,) operators/pose/upright.py."""
 
     seen: Array
     doubts: Samples
@@ -45,6 +45,10 @@ class WholePoseState:
     left: Samples
     memory: Samples
     feet: Samples
+    speeds: Samples
+    bends: Samples
+    head: Samples
+    eases: Samples
     flags: Samples
     tally: Samples
 
@@ -206,13 +210,14 @@ def start(tree: JointTree) -> WholePoseState:
     """A body at rest of which nothing has been seen."""
     bones, m = len(BONES), len(PLACES)
     still = np.tile([1.0, 0.0, 0.0, 0.0], (bones, 1))
-    memory = np.zeros(8)
+    memory = np.zeros(9)
     memory[SIZE], memory[GROUND] = 1.0, np.inf
     return WholePoseState(
         seen=np.zeros(m, np.bool_), doubts=np.zeros(m), marks=np.zeros((m, 3)), before=np.zeros((m, 3)), total=np.zeros((m, 3)),
         offsets=tree.offsets.copy(), turns=still.copy(), turns_before=still.copy(), local=still.copy(), local_before=still.copy(),
-        joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 25)), flags=np.ones(bones),
-        tally=np.zeros(12),
+        joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 22)), speeds=np.zeros((bones, 3)),
+        bends=np.zeros((4, 4)),
+        head=np.zeros(9), eases=np.zeros((m, 4)), flags=np.ones(bones), tally=np.zeros(15),
     )  # fmt: skip
 
 

@@ -21,19 +21,22 @@ from kinegraph.operators.pose.limb_kernel import (
     WRIST_AT,
     fit_pose,
     length_of,
+    place_from,
 )
 from kinegraph.operators.pose.marks_kernel import complete_marks, gather, scale_body, stand
-from kinegraph.operators.pose.motion_kernel import limit_turns, put_feet, same_signs, steady_knees
+from kinegraph.operators.pose.motion_kernel import limit_turns, put_feet, same_signs
 from kinegraph.operators.pose.prior_kernel import features_of, geometric_prior, heading, middles, trained_prior
 from kinegraph.operators.pose.regions_kernel import Corrections, regional_of, regress
 from kinegraph.operators.pose.rotation_kernel import from_axes
+from kinegraph.operators.pose.steady_kernel import ease_turns, steady_bends, steady_head
 from kinegraph.stream.chunk import Array, Samples, Times
 from kinegraph.stream.domain.skeleton import place_joints, turn
 from kinegraph.stream.kernel import kernel
 
-STARTED, SIZE, GROUND, FRAMES, CALIBRATED, LAST, OUTSIDE, HELD = range(8)
+STARTED, SIZE, GROUND, FRAMES, CALIBRATED, LAST, OUTSIDE, HELD, LEAPT = range(9)
 """Places in `memory`: whether there is a pose; the body's size; where ankles stand; samples of standing; whether that is done; the newest
-stamp in s; how far the sample lies from the poses of the training, in kernel widths; whether a turn was held back."""
+stamp in s; how far the sample lies from the poses of the training, in kernel widths; whether a turn was held back; whether nothing
+was seen in the sample before."""
 STEPS_S = (0.002, 0.1)
 """Periods beyond these are taken for these."""
 
@@ -47,6 +50,8 @@ class Solver(NamedTuple):
     from_bone (m, 3), bone_of (m,)  where landmarks are from which joint
     usual, offsets (22, 3)  the skeleton as given and as calibrated; parents (22,)
     turns, turns_before, local, local_before (22, 4)  rotations in the world and relative to parents; joints (22, 3)
+    speeds (22, 3), bends (4, 4), head (9,)  how bones turn, limbs bend, and how the head is turned (steady_kernel)
+    eases (m, 4)  as in `complete_marks`
     learned  the regression; without one there are no centres
     """
 
@@ -74,6 +79,10 @@ class Solver(NamedTuple):
     left: Samples
     memory: Samples
     feet: Samples
+    speeds: Samples
+    bends: Samples
+    head: Samples
+    eases: Samples
     flags: Samples
     work: Samples
 
@@ -81,7 +90,6 @@ class Solver(NamedTuple):
 @kernel
 def prior(s: Solver) -> None:
     """World rotations and the hips' place: by geometry, corrected by the regression where there is one."""
-    heading(s.marks, s.present, s.left)
     geometric_prior(s.marks, s.present, s.memory[SIZE], s.left, s.offsets, s.turns, s.joints, s.work)
     r = s.learned
     if r.centres.shape[1]:
@@ -134,7 +142,8 @@ def believe(row: Samples, dt: float, frames: int, s: Solver) -> bool:
     found = gather(row, s.columns, s.axes, s.signs, s.marks, s.seen, s.counts)
     if s.memory[STARTED] == 0.0 and not begin(s, found):
         return False
-    found = complete_marks(s.marks, s.before, s.seen, s.present, s.doubts, dt, s.work[0, :3])
+    found, followed = complete_marks(s.marks, s.before, s.seen, s.present, s.doubts, s.eases, dt, s.work[0, :3])
+    s.memory[LEAPT] = 0.0 if followed else 1.0
     s.before[:] = s.marks
     if s.memory[CALIBRATED] == 0.0 and frames and found:
         s.memory[FRAMES] = stand(s.marks, s.seen, s.present, s.total, s.memory[FRAMES])
@@ -172,10 +181,18 @@ def flag(s: Solver) -> None:
 @kernel
 def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float) -> None:
     """The pose that fits the landmarks, as far as one period lets the bones turn."""
-    if feet:
-        steady_knees(s.marks, s.present, s.left, dt, s.feet, s.work)
+    heading(s.marks, s.present, s.left)
+    steady_bends(s.marks, s.present, s.left, dt, s.bends, s.work)
     prior(s)
     fit_pose(s.marks, s.present, s.from_bone, s.parents, s.offsets, s.turns, s.joints, s.work)
+    standing = s.memory[FRAMES] if s.memory[CALIBRATED] == 0.0 else 0.0
+    steady_head(s.turns, dt, standing, s.head, s.work)
+    if first or s.memory[LEAPT] > 0.0:
+        s.speeds[:] = 0.0
+    else:
+        ease_turns(s.turns_before, dt, s.speeds, s.turns, s.work)
+    for b in range(1, s.turns.shape[0]):
+        place_from(b, s.parents[b], s.offsets, s.turns, s.joints)
     if feet:
         put_feet(s.marks, s.present, dt, s.memory, s.feet, s.offsets, s.turns, s.joints, s.work)
     most = 1e9 if first else turn_rad_s * dt

@@ -20,15 +20,17 @@ STEADY, ALONG, ASIDE = 0.95, 0.94, 0.5
 not along another below the third."""
 WALKED_M, LEAST_S, MOST_S = 0.75, 2.0, 10.0
 """Who goes so far across the line from feet to head does not lie. Asked after the second, until the third, of being seen."""
-SEEN, SUM, LOW, HIGH, TOLD, RATE = 0, 1, 4, 7, 10, 11
-"""Places in a tally (12,): samples; the sum of directions from feet to head; where the hips were, at least and at most;
-whether it was reported; the rate in Hz."""
+LEAP_M = 0.25
+"""Nobody goes so far from a sample to the next: what was walked before does not count."""
+SEEN, SUM, LOW, HIGH, TOLD, RATE, PLACE = 0, 1, 4, 7, 10, 11, 12
+"""Places in a tally (15,): samples; the sum of directions from feet to head; where the hips were, at least and at most;
+whether it was reported; the rate in Hz; where the hips are (3,)."""
 AXIS_NAMES = ("x", "y", "z")
 
 
 @kernel
 def tally_up(joints: Samples, quality: Samples, tally: Samples) -> None:
-    """Add samples of joints (n, 22, 3), of which head, feet and hips are seen by `quality` (n, 22 + more), to a tally (12,)."""
+    """Add samples of joints (n, 22, 3), of which head, feet and hips are seen by `quality` (n, 22 + more), to a tally (15,)."""
     for i in range(joints.shape[0]):
         if quality[i, HEAD] > 0.0 or quality[i, FOOT] > 0.0 or quality[i, FOOT + SIDE] > 0.0 or quality[i, HIPS] > 0.0:
             continue
@@ -37,10 +39,14 @@ def tally_up(joints: Samples, quality: Samples, tally: Samples) -> None:
             n += (joints[i, HEAD, a] - 0.5 * (joints[i, FOOT, a] + joints[i, FOOT + SIDE, a])) ** 2
         if n < 0.01:
             continue
+        step = 0.0
+        for a in range(3):
+            step = max(step, abs(joints[i, HIPS, a] - tally[PLACE + a]))
+        first = tally[SEEN] == 0.0 or step > LEAP_M
         for a in range(3):
             way = joints[i, HEAD, a] - 0.5 * (joints[i, FOOT, a] + joints[i, FOOT + SIDE, a])
             tally[SUM + a] += way / math.sqrt(n)
-            first = tally[SEEN] == 0.0
+            tally[PLACE + a] = joints[i, HIPS, a]
             tally[LOW + a] = joints[i, HIPS, a] if first else min(tally[LOW + a], joints[i, HIPS, a])
             tally[HIGH + a] = joints[i, HIPS, a] if first else max(tally[HIGH + a], joints[i, HIPS, a])
         tally[SEEN] += 1.0
@@ -66,7 +72,7 @@ def advice(axis: int, sign: float, valid: tuple[str, ...]) -> tuple[str, str]:
 
 def upright_along(tree: JointTree, poses: Samples, rate_hz: float) -> str:
     """The axis along which the humanoid of `poses` (n, 91) stands in its first seconds, if it walks and that is not y; "" otherwise."""
-    tally = np.zeros(12)
+    tally = np.zeros(15)
     joints = joints_of(tree, poses[: round(MOST_S * rate_hz)])[1]
     tally_up(joints, np.zeros((len(joints), len(BONES))), tally)
     found = lies_along(tally) if tally[SEEN] >= LEAST_S * rate_hz else None

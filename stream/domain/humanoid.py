@@ -46,22 +46,25 @@ _HALF = {
 
 ALIASES: dict[str, tuple[str, ...]] = {
     "Hips": ("hips", "pelvis", "root", "spinebase", "hipcenter"),
-    "Spine": ("lowerback", "spine", "abdomen", "spinemid"),
-    "Chest": ("chest", "spine", "spine1", "thorax"),
-    "UpperChest": ("upperchest", "spine2", "spine1", "spine3", "chest2"),
-    "Neck": ("neck", "upperneck", "lowerneck"),
+    "Spine": ("lowerback", "spine", "abdomen", "spinemid", "spine01"),
+    "Chest": ("chest", "spine", "spine1", "thorax", "spine02"),
+    "UpperChest": ("upperchest", "spine2", "spine1", "spine3", "chest2", "spine03"),
+    "Neck": ("neck", "upperneck", "lowerneck", "neck01", "neck1"),
     "Head": ("head",),
     "Shoulder": ("?clavicle", "?collar", "?shoulder"),
     "UpperArm": ("?upperarm", "?arm", "?shldr", "?humerus", "?shoulder"),
     "LowerArm": ("?lowerarm", "?forearm", "?radius", "?elbow"),
     "Hand": ("?hand", "?wrist"),
     "UpperLeg": ("?upperleg", "?upleg", "?thigh", "?femur", "?hip"),
-    "LowerLeg": ("?lowerleg", "?leg", "?shin", "?tibia", "?knee"),
+    "LowerLeg": ("?lowerleg", "?leg", "?shin", "?calf", "?tibia", "?knee"),
     "Foot": ("?foot", "?ankle"),
-    "Toes": ("?toes", "?toebase", "?toe"),
+    "Toes": ("?toes", "?toebase", "?toe", "?toe0", "?ball"),
 }
 """What other skeletons call the bones, best first, without capitals, spaces and signs; "?" is a side. Some name each bone by the joint that
 it begins at, so that beside a collar the shoulder is the upper arm."""
+STANDS = 2.0
+"""A trunk whose axes at rest are nearer to those of the T-pose than this (the trace of the rotation; 60 degrees) is taken as upright."""
+FRONT = np.array([0.0, 0.0, 1.0])
 NEEDED = ("Hips", "Neck", "Head", *(f"{s}{b}" for s in ("Left", "Right") for b in (*list(ARM)[1:], *list(LEG)[:3])))
 """Without these a skeleton is no humanoid; the others can be where their parents are."""
 
@@ -79,7 +82,8 @@ def find_bones(joints: Sequence[str], given: Mapping[str, str] | None = None) ->
     """Which joint of a skeleton is which bone, by name; `given` says it where names do not. Raises KinegraphError."""
     plain: dict[str, str] = {}
     for joint in joints:
-        plain.setdefault(re.sub(r"[^a-z0-9]", "", joint.rpartition(":")[2].lower()), joint)
+        name = re.sub(r"[^a-z0-9]", "", joint.rpartition(":")[2].lower())
+        plain.setdefault(re.sub(r"^bip\d+", "", name), joint)
     found = dict(given or {})
     for bone, joint in found.items():
         if bone not in PARENTS or joint not in joints:
@@ -90,7 +94,8 @@ def find_bones(joints: Sequence[str], given: Mapping[str, str] | None = None) ->
         if bone in found:
             continue
         sides = {"Left": ("left", "l"), "Right": ("right", "r")}.get(bone[: -len(_plain_bone(bone))] or "", ("",))
-        names = [a.replace("?", s) for a in ALIASES[_plain_bone(bone)] for s in sides]
+        aliases = ALIASES[_plain_bone(bone)]
+        names = [name for a in aliases for s in sides for name in (a.replace("?", s), a.replace("?", "") + s)]
         free = (plain[name] for name in names if name in plain and plain[name] not in found.values())
         if first := next(free, None):
             found[bone] = first
@@ -145,19 +150,58 @@ def body_in(tree: JointTree, bones: Mapping[str, str] | None = None) -> tuple[li
 
 def _from_t_pose(heads: Samples) -> Samples:
     """For each bone the rotation that takes it from the T-pose to the rest at which joints are at `heads` (22, 3)."""
-    made = np.tile([1.0, 0.0, 0.0, 0.0], (len(BONES), 1))
+    made = _trunk_from_t_pose(heads)
+    stands = made[0, 0] == 1.0
+    children = {"UpperArm": "LowerArm", "LowerArm": "Hand", "UpperLeg": "LowerLeg", "LowerLeg": "Foot"}
+    if not stands:
+        children["Shoulder"] = "UpperArm"
     for b, bone in enumerate(BONES):
         name = _plain_bone(bone)
-        wanted = {"UpperArm": "LowerArm", "LowerArm": "Hand", "UpperLeg": "LowerLeg", "LowerLeg": "Foot"}.get(name)
-        if name in ("Hand", "Foot", "Toes"):
-            made[b] = made[NUMBERS[b]] if name == "Hand" else made[b]
-        elif wanted:
+        if name in ("Hand", "Toes") or (name == "Foot" and not stands):  # the feet of a rest that stands are level
+            made[b] = made[NUMBERS[b]]
+        elif wanted := children.get(name):
             side = 1.0 if bone.startswith("Left") else -1.0
-            straight = np.array([side, 0.0, 0.0]) if name.endswith("Arm") else np.array([0.0, -1.0, 0.0])
+            straight = np.array([0.0, -1.0, 0.0]) if name.endswith("Leg") else np.array([side, 0.0, 0.0])
             is_now = heads[BONES.index(bone.replace(name, wanted))] - heads[b]
-            before = made[NUMBERS[b]] if name.startswith("Lower") else made[b]
-            made[b] = _times(_between(_turned(before, straight), is_now)[None], before)[0]
+            before = made[NUMBERS[b]]
+            made[b] = _times(_between(_turned(before, straight), is_now, _turned(before, FRONT))[None], before)[0]
     return made
+
+
+def _trunk_from_t_pose(heads: Samples) -> Samples:
+    """The same of the trunk, for every bone (22, 4): as its hips and shoulders lie across it; no rotation where it stands as in the T-pose.
+
+    Raises KinegraphError where there is no trunk: neck and hips at one place, or in one line with legs and arms.
+    """
+    place = dict(zip(BONES, heads, strict=True))
+    up = place["Neck"] - place["Hips"]
+    long = float(np.linalg.norm(up))
+    legs = max(float(np.linalg.norm(place[f"{s}Foot"] - place[f"{s}UpperLeg"])) for s in ("Left", "Right"))
+    if long < 0.1 * legs:
+        raise KinegraphError("this skeleton has no trunk: at rest its neck is where its hips are")
+    up = up / long
+    frames = list[Samples | None]()
+    for bone in ("UpperLeg", "UpperArm"):
+        left = place[f"Left{bone}"] - place[f"Right{bone}"]
+        left = left - (left @ up) * up
+        wide = float(np.linalg.norm(left))
+        frames.append(np.array([left / wide, up, np.cross(left / wide, up)]).T if wide > 0.05 * long else None)
+    low, high = (one if one is not None else other for one, other in (frames, frames[::-1]))
+    if low is None or high is None:
+        raise KinegraphError("this skeleton has no trunk: at rest its hips and shoulders are not across it")
+    made = np.tile([1.0, 0.0, 0.0, 0.0], (len(BONES), 1))
+    if min(np.trace(low), np.trace(high)) > STANDS:
+        return made
+    for b, bone in enumerate(BONES):
+        made[b] = _rotation(low if bone in ("Hips", "Spine") or _plain_bone(bone) in LEG else high)
+    return made
+
+
+def _rotation(m: Samples) -> Samples:
+    """The quaternion (4,) of a rotation matrix."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(m).as_quat(scalar_first=True))
 
 
 def _plain_bone(bone: str) -> str:
@@ -177,8 +221,12 @@ def _turned(q: Samples, v: Samples) -> Samples:
     return np.asarray(v + q[0] * u + np.cross(q[1:], u))
 
 
-def _between(a: Samples, b: Samples) -> Samples:
-    """The shortest rotation (4,) from the direction of `a` to that of `b`, which is not opposite."""
+def _between(a: Samples, b: Samples, about: Samples) -> Samples:
+    """The shortest rotation (4,) from the direction of `a` to that of `b`; `about` an axis (3,) where they are opposite."""
     norm = float(np.linalg.norm(a) * np.linalg.norm(b))
     q = np.array([norm + a @ b, *np.cross(a, b)])
-    return np.asarray(q / np.linalg.norm(q)) if norm > 0 and q[0] > 1e-9 * norm else np.array([1.0, 0.0, 0.0, 0.0])
+    if norm == 0.0:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    if q[0] <= 1e-9 * norm:
+        q = np.array([0.0, *about])
+    return np.asarray(q / np.linalg.norm(q))

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from kinegraph.stream.chunk import Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES, find_bones, to_humanoid, usual_body
 from kinegraph.stream.domain.mesh import Topology
 from kinegraph.stream.domain.skeleton import JointTree, joints_of, local_poses
-from kinegraph.stream.errors import InputError
+from kinegraph.stream.errors import InputError, KinegraphError
 
 pytestmark = pytest.mark.quick
 
@@ -120,3 +121,62 @@ def test_a_triangle_of_vertices_that_are_not_there_is_refused() -> None:
 def test_every_joint_needs_a_parent_and_a_finite_offset(parents: Any, offsets: Any) -> None:
     with pytest.raises(ValueError, match=r"6 joints need 6 parents and \(6, 3\) finite offsets"):
         JointTree(TREE.joints, parents, offsets)
+
+
+def along_x(names: dict[str, str] | None = None) -> tuple[JointTree, Samples]:
+    """Somebody who waves, with a skeleton whose bones lie along x at rest, as in files of 3ds Max and Unreal; and the poses (40, 91)."""
+    body, poses = (
+        usual_body(),
+        np.tile(np.concatenate([usual_body().offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], 22)]), (40, 1)),
+    )
+    angle = 0.5 * np.linspace(0.0, 1.2, 40)
+    for bone, axis in (("LeftUpperArm", 3), ("RightUpperArm", 3), ("LeftUpperLeg", 1), ("Spine", 2)):
+        at = 3 + 4 * BONES.index(bone)
+        poses[:, at], poses[:, at + axis] = np.cos(angle), np.sin(angle)
+    turns, joints = joints_of(body, poses)
+    own = np.empty((len(BONES), 4))
+    for b, bone in enumerate(BONES):
+        child = next((c for c in range(b + 1, len(BONES)) if body.parents[c] == b), -1)
+        way = body.offsets[child] if child >= 0 else body.offsets[b]
+        x = (np.array([0.0, 1.0, 0.0]) if bone == "Hips" else way) / (1.0 if bone == "Hips" else np.linalg.norm(way))
+        z = np.array([0.0, 0.0, 1.0]) if abs(x[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        y = np.cross(z, x) / np.linalg.norm(np.cross(z, x))
+        own[b] = Rotation.from_matrix(np.array([x, y, np.cross(x, y)]).T).as_quat(scalar_first=True)
+    rest = Rotation.from_quat(own, scalar_first=True)
+    offsets = body.offsets.copy()
+    for b in range(1, len(BONES)):
+        offsets[b] = rest[int(body.parents[b])].inv().apply(body.offsets[b])
+    turned = np.stack([(Rotation.from_quat(t, scalar_first=True) * rest).as_quat(scalar_first=True) for t in turns])
+    renamed = tuple((names or {}).get(bone, bone) for bone in BONES)
+    tree = JointTree(renamed, body.parents, offsets)
+    return tree, local_poses(tree, joints[:, 0], turned)
+
+
+def test_a_skeleton_whose_bones_lie_along_x_at_rest_becomes_a_body() -> None:
+    tree, poses = along_x()
+    body, made = to_humanoid(tree, poses)
+    turns, joints = joints_of(body, made)
+    assert np.allclose(joints, joints_of(tree, poses)[1], atol=1e-6)
+    rest = body.at_rest
+    assert rest[BONES.index("Head"), 1] - rest[0, 1] > 0.5, "the head is above the hips"
+    assert rest[BONES.index("LeftHand"), 0] > 0.5 and rest[BONES.index("LeftFoot"), 1] < rest[0, 1] - 0.7
+    assert (np.abs(turns[0] @ [1.0, 0.0, 0.0, 0.0]) > np.cos(np.radians(20) / 2))[:12].all(), "which stands upright"
+
+
+def test_a_skeleton_without_a_trunk_is_refused() -> None:
+    body = usual_body()
+    offsets = body.offsets.copy()
+    offsets[[BONES.index(bone) for bone in ("Spine", "Chest", "UpperChest", "Neck")]] = 0.0
+    with pytest.raises(KinegraphError, match="no trunk"):
+        to_humanoid(JointTree(BONES, body.parents, offsets), np.zeros((0, 91)))
+
+
+@pytest.mark.parametrize("form", ["{bone}_{s}", "Bip01 {S} {bone}", "{bone}.{S}"])
+def test_sides_of_bones_may_be_behind_their_names(form: str) -> None:
+    names = [
+        form.format(bone=bone.removeprefix("Left").removeprefix("Right"), s=bone[0].lower(), S=bone[0])
+        if bone.startswith(("Left", "Right"))
+        else bone
+        for bone in BONES
+    ]
+    assert find_bones(names) == dict(zip(BONES, names, strict=True))

@@ -173,6 +173,34 @@ def test_a_joint_of_a_bvh_file_may_end_several_limbs_and_channels_may_be_in_capi
     assert np.allclose(joints.data[0, 3], [1, 15, 2]) and joints.data[1, 0, 0] == 1.0
 
 
+def test_a_bvh_with_positions_in_every_joint_gives_poses(tmp_path):
+    moving = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+  JOINT Chest
+  {
+    OFFSET 0 1 0
+    CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+    End Site
+    {
+      OFFSET 0 1 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.04
+1 2 3 0 0 0 0 5 0 0 0 0
+1 2 3 90 0 0 0 5 0 0 0 0
+"""
+    joints, _, poses = read_bvh(written(tmp_path, "moving.bvh", moving), "m")
+    tree = JointTree.of(poses.spec)
+    assert np.allclose(joints_of(tree, poses.data)[1], joints.data[:, :2], atol=1e-9)
+    assert np.allclose(joints.data[1, 1], [-4, 2, 3])
+
+
 @needs_data
 def test_the_real_bvh_has_bones_of_constant_length_and_all_joints_of_a_pose():
     joints, angles, poses = read_bvh(DATA / "steering" / "cmu_131_01_scaled.bvh", "m")

@@ -33,8 +33,8 @@ class Joint:
 
 def read_bvh(path: Path, unit: str = "", scale: float = 1.0, start_ns: int = 0) -> list[Series]:
     """Streams: the file's name, joint positions (joints, 3) in world coordinates, ends of limbs included ("Head_end"); with ".angles"
-    behind it, the file's own channels, turns in degrees; and, if the unit is given and only the root has positions, with ".pose"
-    behind it the same motion as poses (stream/domain/skeleton.py), in metres.
+    behind it, the file's own channels, turns in degrees; and, if the unit is given, with ".pose" behind it the same motion as poses
+    (stream/domain/skeleton.py), in metres. There a joint that has positions is at the median of these from its parent.
 
     BVH says neither unit nor axes; `unit` names what `scale` times the numbers are. A joint with position channels stands where these say,
     in its parent's frame, instead of at its offset. Raises RecordingError with file and line.
@@ -54,7 +54,7 @@ def read_bvh(path: Path, unit: str = "", scale: float = 1.0, start_ns: int = 0) 
         units=tuple("deg" if channel.endswith("rotation") else unit for _, channel in named),
     )
     moved = frames * np.array([1.0 if channel.endswith("rotation") else scale for _, channel in named])
-    posed = unit in METRES and not any(c.endswith("position") for joint in joints[1:] for c in joint.channels)
+    posed = unit in METRES
     to_m = scale * METRES[unit] if posed else 0.0
     turning = [j for j, joint in enumerate(joints) if joint.channels or joint.parent < 0] if posed else []
     placed, poses = np.empty((len(frames), len(joints), 3)), np.empty((len(frames), 3 + 4 * len(turning)))
@@ -66,13 +66,17 @@ def read_bvh(path: Path, unit: str = "", scale: float = 1.0, start_ns: int = 0) 
             poses[block, 3 + 4 * k : 7 + 4 * k] = Rotation.from_matrix(turns[j]).as_quat(scalar_first=True)
     made = [Series(path.stem, spec, time, placed), Series(f"{path.stem}.angles", angles, time, moved)]
     if posed:
-        made.append(Series(f"{path.stem}.pose", _tree(joints, turning, to_m).spec(rate), time, poses))
+        made.append(Series(f"{path.stem}.pose", _tree(joints, turning, frames, to_m).spec(rate), time, poses))
     return made
 
 
-def _tree(joints: list[Joint], kept: list[int], to_m: float) -> JointTree:
+def _tree(joints: list[Joint], kept: list[int], frames: Samples, to_m: float) -> JointTree:
     """The joints that turn, as a skeleton."""
     offsets = to_m * np.array([joints[j].offset for j in kept])
+    for row, j in zip(offsets[1:], kept[1:], strict=True):
+        for i, channel in enumerate(joints[j].channels, joints[j].first):
+            if channel.endswith("position"):
+                row["XYZ".index(channel[0])] = to_m * float(np.median(frames[:, i]))
     parents = [kept.index(joints[j].parent) if joints[j].parent >= 0 else -1 for j in kept]
     return JointTree(tuple(joints[j].name for j in kept), np.array(parents), offsets)
 

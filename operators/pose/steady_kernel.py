@@ -1,0 +1,175 @@
+"""What noise would make of a pose: limbs that are nearly straight, and a head whose markers lie close together, follow by degrees."""
+
+from __future__ import annotations
+
+import math
+
+from kinegraph.operators.pose.limb_kernel import (
+    ANKLE_AT,
+    BENT,
+    ELBOW_AT,
+    HEAD,
+    HIP_AT,
+    KNEE_AT,
+    NECK,
+    SHOULDER_AT,
+    UPPER_CHEST,
+    WRIST_AT,
+    smooth_step,
+)
+from kinegraph.operators.pose.rotation_kernel import angle_between, dot, normalise, part_way, relative, unit
+from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.domain.skeleton import multiply, turn
+from kinegraph.stream.kernel import kernel
+
+STRAIGHT_S, MOVED, REST = 0.15, 0.12, 0.015
+"""How quickly the bend of a limb follows its markers where it is straight, or differs by less than the second; and how much the usual
+direction of a straight one counts (both as parts of half its length)."""
+LEVEL_MOST = 0.7
+"""Whoever is calibrated looks ahead, up to this error of the markers (rad)."""
+NECK_MOST, HEAD_MOST = 0.8, 1.2
+"""How far the neck turns from the chest, and the head (rad): the limits of an adult's neck in any direction, rounded up."""
+HEAD_HZ, HEAD_BETA, AGREES_S = 1.5, 6.0, 0.1
+"""The head follows with this cut-off, and by so much faster (Hz per rad) the farther away its markers agree, for this long, that it is."""
+MOST_RAD_S2 = 80.0
+"""Limbs of people hardly ever turn faster or slower by more than this within a second: 1 % of the frames of motion capture at 30 Hz."""
+LEVEL, TURN, AWAY, KNOWN = 0, 1, 5, 8
+"""Places in `head` (9,): by how much its markers look up when it is level; its rotation as seen from the chest; how far the markers have
+been from that of late (3,); whether there is one."""
+
+
+@kernel
+def steady_bends(marks: Samples, known: Array, left: Samples, dt: float, bends: Samples, work: Samples) -> None:
+    """Put elbows and knees where their limbs have bent to of late: the straighter a limb, the less a sample's noise turns it.
+
+    left  (3,)    the level direction to the body's left
+    bends (4, 4)  of the arms and the legs: how far, and to which side of its axis, the middle joint lies, as seen from the body (x to its
+                  left, y up, z to its front; m), and whether that is known
+    work  (4, 4)  room
+    """
+    for limb in range(4):
+        side, leg = limb % 2, limb > 1
+        first = (HIP_AT if leg else SHOULDER_AT) + side
+        middle = (KNEE_AT if leg else ELBOW_AT) + side
+        end = (ANKLE_AT if leg else WRIST_AT) + side
+        if not (known[first] and known[middle] and known[end]):
+            continue
+        axis, aside, was, usual = work[0, :3], work[1, :3], work[2, :3], work[3, :3]
+        half = 0.0
+        for a in range(3):
+            axis[a] = marks[end, a] - marks[first, a]
+            aside[a] = marks[middle, a] - marks[first, a]
+            half += (marks[end, a] - marks[middle, a]) ** 2
+        half = 0.5 * (math.sqrt(half) + math.sqrt(dot(aside, aside)))
+        if unit(axis) == 0.0 or half == 0.0:
+            continue
+        along = dot(aside, axis)
+        b = bends[limb]
+        was[0], was[1], was[2] = b[0] * left[0] - b[2] * left[2], b[1], b[0] * left[2] + b[2] * left[0]
+        ahead = 1.0 if leg else -1.0
+        usual[0], usual[1], usual[2] = -ahead * left[2], 0.0 if leg else -0.5, ahead * left[0]
+        across, forward = dot(was, axis), dot(usual, axis)
+        for a in range(3):
+            aside[a] -= along * axis[a]
+            was[a] -= across * axis[a]
+            usual[a] -= forward * axis[a]
+        bend = max(math.sqrt(dot(aside, aside)), math.sqrt(dot(was, was)))
+        share = smooth_step(bend / (BENT * half))
+        if b[3] > 0.0:
+            moved = 0.0
+            for a in range(3):
+                moved += (aside[a] - was[a]) ** 2
+            slowly = 1.0 - math.exp(-dt / STRAIGHT_S)
+            follows = slowly + (1.0 - slowly) * share * smooth_step(math.sqrt(moved) / (MOVED * half))
+            for a in range(3):
+                aside[a] = was[a] + follows * (aside[a] - was[a])
+        b[0] = aside[0] * left[0] + aside[2] * left[2]
+        b[1] = aside[1]
+        b[2] = aside[2] * left[0] - aside[0] * left[2]
+        b[3] = 1.0
+        size = math.sqrt(dot(aside, aside))
+        unit(usual)
+        for a in range(3):
+            aside[a] += REST * half * (1.0 - share) * usual[a]
+        unit(aside)
+        for a in range(3):
+            marks[middle, a] = marks[first, a] + along * axis[a] + size * aside[a]
+
+
+@kernel
+def clamp(chest: Samples, most: float, rotation: Samples, work: Samples) -> None:
+    """Let the world rotation `rotation` (4,) be within `most` rad of that of the `chest`. `work` (4,)."""
+    angle = angle_between(chest, rotation)
+    if angle > most:
+        part_way(chest, rotation, most / angle, work)
+        rotation[:] = work
+
+
+@kernel
+def steady_head(turns: Samples, dt: float, standing: float, head: Samples, work: Samples) -> None:
+    """Keep neck and head within what a neck can do, level when the body was calibrated, and steady while its markers are not.
+
+    standing  samples of the calibration so far; 0: not being calibrated   head (9,) what is remembered of it   work (4, 4) room
+    """
+    chest, target, q, to = turns[UPPER_CHEST], work[0], head[TURN : TURN + 4], work[1]
+    clamp(chest, NECK_MOST, turns[NECK], work[2])
+    work[3, 0], work[3, 1], work[3, 2] = 0.0, 0.0, 1.0
+    turn(turns[HEAD], work[3, :3], work[2, :3])
+    if standing > 0.0:
+        looks = math.asin(min(max(work[2, 1], -1.0), 1.0))
+        head[LEVEL] += (min(max(looks, -LEVEL_MOST), LEVEL_MOST) - head[LEVEL]) / standing
+    to[0], to[1], to[2], to[3] = math.cos(0.5 * head[LEVEL]), math.sin(0.5 * head[LEVEL]), 0.0, 0.0
+    multiply(turns[HEAD], to, turns[HEAD])
+    clamp(chest, HEAD_MOST, turns[HEAD], work[2])
+    relative(chest, turns[HEAD], target)
+    if head[KNOWN] == 0.0:
+        q[:] = target
+        head[KNOWN] = 1.0
+    relative(q, target, to)
+    sign = -1.0 if to[0] < 0.0 else 1.0
+    share = 1.0 - math.exp(-dt / AGREES_S)
+    away = 0.0
+    for a in range(3):
+        head[AWAY + a] += share * (2.0 * sign * to[1 + a] - head[AWAY + a])
+        away += head[AWAY + a] ** 2
+    cutoff_hz = HEAD_HZ + HEAD_BETA * math.sqrt(away)
+    part_way(q, target, 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt), q)
+    multiply(chest, q, turns[HEAD])
+    normalise(turns[HEAD])
+
+
+@kernel
+def ease_turns(before: Samples, dt: float, speeds: Samples, turns: Samples, work: Samples) -> None:
+    """Let every bone's speed change only as much as people's do, and let it come to rest where it is wanted: markers leap, limbs do not.
+
+    before  (22, 4) rotations in the world before; turns (22, 4) as wanted, then as taken
+    speeds  (22, 3) their angular velocity (rad/s, in the axes of the bone)   work (2, 4) room
+    """
+    for b in range(turns.shape[0]):
+        relative(before[b], turns[b], work[0])
+        if work[0, 0] < 0.0:
+            for a in range(4):
+                work[0, a] = -work[0, a]
+        sine = math.sqrt(work[0, 1] ** 2 + work[0, 2] ** 2 + work[0, 3] ** 2)
+        angle = 2.0 * math.atan2(sine, work[0, 0])
+        fast = min(angle / dt, math.sqrt(2.0 * MOST_RAD_S2 * angle))
+        change = 0.0
+        for a in range(3):
+            work[1, a] = fast * work[0, 1 + a] / sine if sine > 1e-12 else 0.0
+            change += (work[1, a] - speeds[b, a]) ** 2
+        change = math.sqrt(change)
+        share = min(1.0, MOST_RAD_S2 * dt / change) if change > 0.0 else 1.0
+        if share == 1.0 and fast * dt >= angle:
+            speeds[b] = work[1, :3]
+            continue
+        fast = 0.0
+        for a in range(3):
+            speeds[b, a] += share * (work[1, a] - speeds[b, a])
+            fast += speeds[b, a] ** 2
+        fast = math.sqrt(fast)
+        half = 0.5 * fast * dt
+        work[0, 0] = math.cos(half)
+        for a in range(3):
+            work[0, 1 + a] = math.sin(half) * speeds[b, a] / fast if fast > 1e-12 else 0.0
+        multiply(before[b], work[0], turns[b])
+        normalise(turns[b])

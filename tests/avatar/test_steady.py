@@ -1,0 +1,138 @@
+"""What people see of an avatar: it is still while they are, nothing leaps, the head is level, left stays left."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kinegraph.operators.body.extrema import ARMS, LEGS, Extrema
+from kinegraph.operators.body.marker_fusion import Surer
+from kinegraph.operators.body.names import MARKERS
+from kinegraph.operators.filters.one_euro import OneEuro
+from kinegraph.operators.filters.predict import Predict
+from kinegraph.operators.pose.landmarks import USUAL
+from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.operator import grid
+from tests.avatar.test_camera_avatar import camera_spec, someone
+from tests.avatar.test_whole_pose import POSES, RATE, TREE, marks, played
+
+FACE = (*USUAL, "nose", "ear_l", "ear_r")
+
+
+def turned_by(turns: Samples) -> Samples:
+    """Degrees by which each rotation (n, 22, 4) turns from one frame to the next."""
+    return 2 * np.degrees(np.arccos(np.clip(np.abs((turns[1:] * turns[:-1]).sum(-1)), 0.0, 1.0)))
+
+
+def shown(x: Samples, names: tuple[str, ...]) -> Samples:
+    """World rotations (n, 22, 4) of markers as configs/parts/avatar.yaml smooths, predicts and poses them."""
+    spec, times = StreamSpec((len(names), 3), rate_hz=RATE, channels=names, units=("m",)), grid(RATE, len(x))
+    chunk = Chunk(times, x, int(times[-1]))
+    for step in (OneEuro(cutoff_hz=1.0, beta=2.0), Predict(ahead_s=0.033, tau_s=0.15)):
+        spec = step.open({"in": spec})["out"]
+        chunk = step.process("in", chunk)  # type: ignore[assignment]
+    return joints_of(TREE, played(chunk.data, names)[0])[0]
+
+
+@pytest.mark.parametrize("bent_rad", [0.0, 0.4])
+@pytest.mark.parametrize("names", [USUAL, FACE])
+def test_who_stands_still_is_still_under_noise(names: tuple[str, ...], bent_rad: float) -> None:
+    """The twist of a nearly straight limb, and how far it bends, come from a joint that lies within its own noise."""
+    still = np.repeat(POSES[:1], 240, axis=0)
+    if not bent_rad:
+        still[:, 3:] = np.tile([1.0, 0.0, 0.0, 0.0], len(BONES))
+    x = marks(names, still) + np.random.default_rng(3).normal(0.0, 0.005, (len(still), len(names), 3))
+    turned = turned_by(shown(x, names)[60:])
+    assert turned.mean(axis=0).max() < 1.3
+    assert np.percentile(turned, 95, axis=0).max() < 2.8
+
+
+def test_a_marker_that_is_seen_again_is_gone_to_by_degrees() -> None:
+    x = marks()
+    hidden = slice(90, 115)
+    x[hidden, [USUAL.index("wrist_l"), USUAL.index("elbow_l")]] = np.nan
+    x[115:, USUAL.index("wrist_l")] += [0.2, 0.25, 0.1]
+    turns = joints_of(TREE, played(x)[0])[0]
+    arm = turned_by(turns)[:, [BONES.index("LeftUpperArm"), BONES.index("LeftLowerArm")]]
+    assert np.abs(np.diff(arm[110:130], axis=0)).max() < np.degrees(2 * 80.0 / RATE**2), "faster than limbs turn"
+
+
+def test_the_head_is_level_for_whoever_was_calibrated_with_a_nose_below_the_ears() -> None:
+    x = marks(FACE, np.repeat(POSES[:1], 90, axis=0))
+    x[:, FACE.index("nose"), 1] -= 0.05
+    turns = joints_of(TREE, played(x, FACE)[0])[0]
+    w, x_, y, z = turns[60:, BONES.index("Head")].T
+    assert np.abs(np.degrees(np.arcsin(2 * (y * z - w * x_)))).max() < 3.0
+
+
+def test_a_nose_that_leaps_for_a_frame_does_not_throw_the_head_back() -> None:
+    x = marks(FACE, np.repeat(POSES[:1], 90, axis=0))
+    x[60, FACE.index("nose")] += [0.0, 0.25, -0.1]
+    turns = joints_of(TREE, played(x, FACE)[0])[0][:, BONES.index("Head")]
+    away = 2 * np.degrees(np.arccos(np.clip(np.abs(turns[58:] @ turns[58]), 0.0, 1.0)))
+    assert away.max() < 25.0
+
+
+@pytest.mark.parametrize("seconds", [0.2, 0.4])
+@pytest.mark.parametrize("metres", [0.05, 0.3, 0.8])
+def test_prediction_overshoots_a_movement_by_less_than_a_tenth(metres: float, seconds: float) -> None:
+    u = np.clip((np.arange(0.0, 2.0, 1 / RATE) - 0.5) / seconds, 0.0, 1.0)
+    x = metres * (10 * u**3 - 15 * u**4 + 6 * u**5)
+    smooth = OneEuro(cutoff_hz=1.0, beta=2.0)(x[:, None], rate_hz=RATE)
+    assert Predict(ahead_s=0.033, tau_s=0.15)(smooth, rate_hz=RATE).max() < 1.1 * metres
+
+
+def swapped(markers: Samples) -> Samples:
+    """Markers (n, 20, 3) with left and right exchanged."""
+    names = [name.replace("left", "?").replace("right", "left").replace("?", "right") for name in MARKERS]
+    return markers[:, [MARKERS.index(name) for name in names]]
+
+
+def body() -> Samples:
+    """A body's markers (20, 3) in the axes of a camera."""
+    made = np.zeros((len(MARKERS), 3))
+    heights = {
+        "shoulder": 0.5,
+        "elbow": 0.2,
+        "wrist": -0.05,
+        "hip": 0.0,
+        "knee": -0.42,
+        "ankle": -0.84,
+        "heel": -0.88,
+        "toe": -0.88,
+    }
+    for k, name in enumerate(MARKERS):
+        side, _, joint = name.rpartition("_")
+        aside = {"ear": 0.07, "shoulder": 0.18, "elbow": 0.2, "wrist": 0.22}.get(joint, 0.1)
+        made[k] = ({"left": aside, "right": -aside}.get(side, 0.0), -heights.get(joint, 0.75), 2.5)
+    return made
+
+
+def test_nothing_is_filled_from_a_way_that_takes_left_for_right() -> None:
+    first = np.repeat(body()[None], 4, axis=0)
+    second = first.copy()
+    missing = [MARKERS.index("left_wrist"), MARKERS.index("right_ankle")]
+    first[:, missing] = np.nan
+    spec, times = StreamSpec((len(MARKERS), 3), rate_hz=30.0, channels=MARKERS, units=("m",)), grid(30.0, 4)
+    for other, filled in ((second, True), (swapped(second), False)):
+        surer = Surer()
+        surer.open({"first": spec, "second": spec})
+        surer.process("second", Chunk(times[:1], other[:1], int(times[0])))
+        made = surer.process("first", Chunk(times[:1], first[:1], int(times[0])))
+        assert made is not None and np.isfinite(made.data[0, missing]).all() == filled
+
+
+def test_depth_alone_that_took_left_for_right_finds_out_by_the_shape() -> None:
+    frames, _ = someone(7.1, 8.2)
+    extrema, times = Extrema(), grid(RATE, len(frames))
+    extrema.open({"in": camera_spec()})
+    extrema.process("in", Chunk(times[:5], frames[:5], 0))
+    extrema.state.heading[:] *= -1.0
+    extrema.state.odds = 2.0
+    extrema._exchange(ARMS, LEGS)
+    made = dict(extrema.process("in", Chunk(times[5:], frames[5:], 0)))["out"].data
+    hips = [MARKERS.index("left_hip"), MARKERS.index("right_hip")]
+    to_the_left = (made[:, hips[0]] - made[:, hips[1]])[:, 0]
+    assert (to_the_left[-8:] > 0.0).all(), "the left hip of who faces the camera is on its right"
