@@ -23,6 +23,7 @@ from statistics import median
 import psutil
 
 from bench.report import Goal, Section, marks, publish, short, whole
+from kinegraph.stream.compiler.cache import SUFFIX
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.graph.reading.load import load
 from kinegraph.stream.graph.shipped import shipped
@@ -193,7 +194,7 @@ def _processor_s(process: psutil.Process) -> float:
 def _kept(cache: Path) -> tuple[int, float]:
     """How many pieces of machine code a cache holds, and how many MB."""
     files = [path for path in cache.rglob("*") if path.is_file()]
-    return sum(path.suffix == ".nbc" for path in files), sum(path.stat().st_size for path in files) / 1e6
+    return sum(path.suffix == SUFFIX for path in files), sum(path.stat().st_size for path in files) / 1e6
 
 
 def _run_to_end(code: str) -> tuple[float, float, float]:

@@ -58,7 +58,7 @@ def words(text: str) -> str:
     return " ".join(text.split())
 
 
-FIRST_READ = {"README", "running", "graphs", "python", "operator"}
+FIRST_READ = {"README", "graphs", "python"}
 """The commands of these pages run before every change, those of all others every night."""
 WITH_COMMANDS = [
     pytest.param(page, id=page.stem, marks=() if page.stem in FIRST_READ else pytest.mark.nightly)

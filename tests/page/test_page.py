@@ -137,8 +137,9 @@ def test_a_server_that_is_killed_is_started_again_the_page_comes_back_and_the_gr
 
 
 @needs_browser
-@pytest.mark.parametrize("size", [(375, 4000), (1920, 4000)], ids=["phone", "projector"])
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(
+    ("size", "theme"), [((375, 4000), "light"), ((1920, 4000), "dark")], ids=["phone", "projector"]
+)
 def test_it_fits_and_can_be_read(running: PageProcess, browser: LiveBrowser, size: tuple[int, int], theme: str) -> None:
     browser.open(running.url, *size)
     browser.wait("document.querySelector('.signal')?.dataset.points > 20")

@@ -113,7 +113,7 @@ def test_each_channel_has_its_scale_or_all_have_one(view: LiveBrowser) -> None:
     assert height(SHADES[0]) > 0.6 * lane and height(SHADES[1]) < 0.1 * lane
 
 
-@pytest.mark.parametrize("window_s", [10, 60])
+@pytest.mark.parametrize("window_s", rest_nightly(60, 10))
 def test_a_gap_is_left_empty_from_close_by_and_from_afar(view: LiveBrowser, window_s: int) -> None:
     """The ramp would be drawn through the gap if anything joined what is before it and behind it."""
     shown(view, window_s, 21 if window_s == 10 else 24)

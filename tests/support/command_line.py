@@ -6,11 +6,13 @@ A user's mistake never shows a traceback: whatever `main` lets through but Syste
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -74,12 +76,20 @@ def refused(reported: CommandResult, *words: str, code: int = 2) -> None:
     assert not [word for word in words if word not in reported[2]], reported[2]
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a graph and a whole recording of it."""
-    folder = tmp_path_factory.mktemp("made")
+@cache
+def _made_once(top: Path) -> Path:
+    folder = top / "made once"
+    folder.mkdir()
     (folder / "graph.yaml").write_text(GRAPH)
     subprocess.run([KINEGRAPH, "run", "graph.yaml", "-o", "s", *QUIET], cwd=folder, check=True, capture_output=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a graph and a whole recording of it: a copy of one that is made once in a process."""
+    folder = tmp_path_factory.mktemp("made")
+    shutil.copytree(_made_once(tmp_path_factory.getbasetemp()), folder, dirs_exist_ok=True)
     return folder
 
 
