@@ -12,6 +12,7 @@ import pytest
 
 from kinegraph.stream.recording import Recording
 from tests.support.command_line import BOARD, KINEGRAPH, wait_for
+from tests.support.tiers import rest_nightly
 
 NODE = '''
 import ctypes
@@ -197,7 +198,7 @@ def test_where_nothing_else_can_run_a_quit_tells_where_it_is_stuck(tmp_path: Pat
         assert not recording.finished and recording.streams["board.emg"].samples > 0
 
 
-@pytest.mark.parametrize("how", ["long", "closing"])
+@pytest.mark.parametrize("how", rest_nightly("long", "closing"))
 def test_signals_break_off_a_replay(how: str, made: Path, tmp_path: Path) -> None:
     (tmp_path / "stuck.py").write_text(NODE)
     (tmp_path / "g.yaml").write_text(BOARD % 2 + f"  stuck: {{use: stuck.Node, from: board.emg, how: {how}}}\n")
