@@ -25,7 +25,8 @@ def table() -> str:
 
 def _row(name: str, part: type[Operator[Any]]) -> str:
     text = " ".join((part.__doc__ or "").split("\n\n")[0].split())
-    cells = (f"`{name}`", re.split(r"\.(?= [A-Z]|$)", text)[0], part.delays, part.references)
+    # the first clause: `kinegraph components NAME` has the rest
+    cells = (f"`{name}`", re.split(r"[.;:](?= |$)", text)[0], part.delays, part.references)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
 
 

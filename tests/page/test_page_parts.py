@@ -452,12 +452,7 @@ def test_metrics_are_openmetrics() -> None:
 def test_every_message_stands_in_the_docs() -> None:
     """What the server sends and takes, as the page's own TypeScript and the decoder know it."""
     folder = Path(__file__).resolve().parents[2]
-    reported = (
-        (folder / "docs" / "extend" / "panel.md")
-        .read_text(encoding="utf-8")
-        .partition("## Messages")[2]
-        .partition("## Building")[0]
-    )
+    reported = (folder / "docs" / "lab" / "page-messages.md").read_text(encoding="utf-8")
     wire = (folder / "devices/page/web/wire.ts").read_text(encoding="utf-8")
     sent = {name for line in re.findall(r"\bt: ((?:\"\w+\"(?: \| )?)+)", wire) for name in re.findall(r"\w+", line)}
     assert len(sent) > 12

@@ -2,7 +2,7 @@
 
     u32 length of the header | header, JSON in UTF-8, padded with spaces to a multiple of 8 (with the u32) | numbers, little-endian
 
-`docs/extend/panel.md` lists every message. The same messages go from the session's process to the server's,
+`docs/lab/page-messages.md` lists every message. The same messages go from the session's process to the server's,
 each behind a u32 of its length.
 """
 

@@ -1,4 +1,4 @@
-// What travels between the server and this page: see docs/extend/panel.md.
+// What travels between the server and this page: see docs/lab/page-messages.md.
 
 export const VERSION = 1;
 
