@@ -26,6 +26,10 @@ THERE_S = 2.0
 """How long a silent outlet may take to answer."""
 TIMING_S = 0.1
 """How long events of `timing` are gathered."""
+WAITED_S = 0.005
+"""A read that took longer has waited for its sample; one that was quicker had it at hand."""
+LATE_NS = 5 * NS
+"""No network takes so long, for so long."""
 UNORDERED_S = 0.1
 """A stamp may run back so far by how a sender happens to take its samples."""
 QUICKEST_S = 0.05
@@ -53,6 +57,7 @@ class Pull:
         self._told_clock = ClockLog(connection.described.name, feed, self._clock.state)
         self._count = 0
         self._found: set[str] = set()
+        self._late_since = 0
         self._timing: list[tuple[int, int, int, int]] = []
         self._timing_lost = 0
         self._told = self._asked = time.monotonic()
@@ -73,7 +78,9 @@ class Pull:
                     feed.problem("reconnected")
                     log.warning("LSL stream is back", name=connection.described.name, host=connection.described.host)
                 if reconnected or not known:
-                    known = self._learn_clock(float(stamps[-1]))
+                    first, known = not known, self._learn_clock(float(stamps[-1]))
+                    if first and self._stamps.begin(float(stamps[-1]), feed.now()):
+                        data, stamps = self._begin_elsewhere(data, stamps)
                 self._emit(data, stamps, reconnected)
                 time.sleep(0)  # lets go of the interpreter, for which the graph's thread is waiting
                 heard, reconnected = now, False
@@ -99,6 +106,19 @@ class Pull:
         self._correct(correction, at_once=True)
         return True
 
+    def _begin_elsewhere(self, data: Array, stamps: Samples) -> tuple[Array, Samples]:
+        """Stamps are of another clock from the start. Only a sample that was waited for tells by how much: the newest, which this gives."""
+        while not self._feed.stopped:
+            asked = time.monotonic()
+            newer, its_stamps = self._connection.pull()
+            if len(its_stamps):
+                data, stamps = newer, its_stamps
+            if time.monotonic() - asked > WAITED_S:
+                break
+        moved_s = self._stamps.begin(float(stamps[-1]), self._feed.now())
+        self._shifted(moved_s, self._feed.now())
+        return data, stamps
+
     def _correct(self, correction: float, *, at_once: bool = False) -> None:
         self._stamps.correct(correction, at_once=at_once)
         self._clock.see(correction, self._connection.uncertainty(), time.monotonic())
@@ -113,6 +133,12 @@ class Pull:
         self._timing.append((self._count - 1, _ns(stamps.item(-1)), arrival, times.item(-1)))
         if gaps or mapped.backwards or mapped.impossible:
             self._count_problems(mapped)
+        if arrival - times.item(-1) < LATE_NS:
+            self._late_since = arrival
+        elif arrival - (self._late_since or arrival) > LATE_NS:
+            seen = f"stamps {(arrival - times.item(-1)) / NS:.1f} s before their arrival"
+            self._find("epoch", "stamps of LSL's clock", seen, "beside other streams they are late", times.item(0))
+        self._late_since = self._late_since or arrival
         if not gaps:
             self._feed.emit(Chunk(times, samples, times.item(-1)))
             return
@@ -132,10 +158,7 @@ class Pull:
         if mapped.impossible:
             self._feed.problem("impossible stamp", mapped.impossible)
         if mapped.shifted_s:
-            self._feed.problem("stamps of another clock")
-            seen = f"stamps that are {-mapped.shifted_s:.3f} s off"
-            consequence = "they are moved to their arrival, and keep their pace from there"
-            self._find("epoch", "stamps of LSL's clock", seen, consequence, int(mapped.time[-1]))
+            self._shifted(mapped.shifted_s, int(mapped.time[-1]))
         if mapped.back_s > UNORDERED_S:
             seen = f"a sample stamped {mapped.back_s:.3f} s before an earlier one"
             self._find(
@@ -148,6 +171,14 @@ class Pull:
         if mapped.impossible:
             seen = "stamps that are an hour old, of the future, or no numbers"
             self._find("epoch", "stamps of LSL's clock", seen, "their arrival is taken", int(mapped.time[-1]))
+
+    def _shifted(self, by_s: float, since_ns: int) -> None:
+        self._feed.problem("stamps of another clock")
+        seen, consequence = (
+            f"stamps that are {-by_s:.3f} s off",
+            "they are moved to their arrival, and keep their pace from there",
+        )
+        self._find("epoch", "stamps of LSL's clock", seen, consequence, since_ns)
 
     def _find(self, kind: str, claimed: str, seen: str, consequence: str, since_ns: int) -> None:
         """Report a claim that does not hold, once of a kind."""

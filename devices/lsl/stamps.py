@@ -72,6 +72,13 @@ class LslStamps:
         if at_once or abs(correction_s - self._correction) > STEP_S:
             self._correction = correction_s
 
+    def begin(self, raw: float, arrival_ns: int) -> float:
+        """The newest sample of all, before any is mapped: by how much stamps are moved from the start, because this is of another clock."""
+        arrival = (arrival_ns - self._zero) / NS - self._correction
+        if isfinite(raw) and not arrival - OLDEST_S < raw < arrival + NEWEST_S:
+            self._moved = arrival - raw
+        return self._moved
+
     def map(self, stamps: Samples, arrival_ns: int, *, after_pause: bool = False) -> Mapped:
         """Session times of samples with these stamps (n,), n > 0, read at `arrival_ns`. `after_pause`: the connection was lost before."""
         raws: list[float] = stamps.tolist()
