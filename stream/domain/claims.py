@@ -251,6 +251,8 @@ ACCELERATIONS = {"g": 1.0, "m/s2": 9.81, "m/s^2": 9.81, "m/s²": 9.81}
 VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
 NOISE_V, MOST_V = 2e-9, 500.0
 """No amplifier's noise is below the first, no electrode gives more than the second."""
+RANGE = 4.0
+"""How many standard deviations some tens of samples range over."""
 STILL, SAMPLES = 0.1, 8
 """A length of acceleration within this share of one value, over most of the time, is gravity. At least so many samples are judged."""
 UNIT_LENGTH = 0.05
@@ -303,9 +305,11 @@ def _gravity(stream: str, unit: str, length: Array) -> Iterable[Finding]:
 
 
 def _voltage(stream: str, unit: str, rows: Array) -> Iterable[Finding]:
-    """The spread of each channel, in volts: below noise or above all electrodes in every channel that is not constant."""
-    spread = np.nanstd(rows, axis=0) * VOLTS[unit] if np.isfinite(rows).any() else np.zeros(1)
-    spread = spread[np.isfinite(spread) & (spread > 0)]
+    """About each channel's standard deviation: below noise, or above all electrodes, in every channel that is not constant."""
+    with np.errstate(all="ignore"):
+        finite = np.where(np.isfinite(rows), rows, np.nan)[:, np.isfinite(rows).any(axis=0)]
+        spread = (np.nanmax(finite, axis=0) - np.nanmin(finite, axis=0)) / RANGE * VOLTS[unit]
+    spread = spread[spread > 0]
     if not len(spread) or not (spread.max() < NOISE_V or spread.min() > MOST_V):
         return
     what = "less than any amplifier's noise" if spread.max() < NOISE_V else "more than any electrode gives"

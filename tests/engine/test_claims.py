@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +13,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kinegraph.stream.chunk import NS, Array, Chunk, StreamSpec, Times, grid
+from kinegraph.stream.chunk import NS, Array, Chunk, Specs, StreamSpec, Times, grid
 from kinegraph.stream.domain.claims import WRONG_BY_STAMPS, ClaimGate, check_series
-from kinegraph.stream.domain.finding import Finding
+from kinegraph.stream.domain.finding import Finding, recorded_findings
 from kinegraph.stream.engine.flow.admission import ordered, soundness
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.engine.status import Outcome
+from kinegraph.stream.errors import DeclarationError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.source import Feed, Source
+from tests.support.command_line import Command, kinegraph
+
+__all__ = ["kinegraph"]
 
 ZERO = 1_700_000_000 * NS
 SPEC = StreamSpec((2,), rate_hz=250.0, channels=("a", "b"), units=("uV",))
@@ -167,3 +179,51 @@ def test_a_finding_is_the_same_after_a_recording() -> None:
     [found] = check_series(gate(), grid(125.0, 3000, ZERO), noise(3000), None)
     assert Finding.from_facts(found.facts()) == found
     assert found.text.startswith("'s' claims 250 Hz; seen: 125 Hz from 2023-11-14")
+
+
+@dataclass(frozen=True, slots=True)
+class Liar(Source):
+    """Says that it sends 250 Hz, and sends half; `raises`: it finds out itself."""
+
+    raises: bool = False
+
+    def specs(self) -> Specs:
+        return {"out": SPEC}
+
+    def read(self, feed: Feed) -> None:
+        if self.raises and not feed.again:
+            raise DeclarationError("the liar is not as declared")
+        time = grid(125.0, 4000, feed.now() - 32 * NS)
+        for start in range(0, 4000, 100):
+            part = time[start : start + 100]
+            feed.emit(Chunk(part, noise(100), int(part[-1])))
+
+
+HONEST = "  board: {use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 2}\n"
+
+
+def session(options: str, tmp_path: Path) -> tuple[Outcome, list[str]]:
+    graph = load_text(f"nodes:\n{HONEST}  liar: {{use: {__name__}.Liar, {options}}}\n")
+    outcome = Session(graph, tmp_path / "s").run()
+    with Recording.open(tmp_path / "s") as recording:
+        return outcome, [finding.kind for finding in recorded_findings(recording)]
+
+
+def test_a_session_records_and_shows_what_a_source_claims_wrongly(tmp_path: Path, kinegraph: Command) -> None:
+    outcome, kinds = session("required: true", tmp_path)
+    assert outcome.error is None and kinds == ["rate"]
+    assert "claims 250 Hz; seen: 125 Hz" in outcome.table["liar"]["findings"]
+    code, shown, _ = kinegraph("info", tmp_path / "s", "--json")
+    assert code == 0 and json.loads(shown)["findings"][0]["seen"] == "125 Hz"
+    assert "findings: 1" in kinegraph("info", tmp_path / "s")[1]
+
+
+def test_a_source_that_must_keep_its_claims_ends_the_session(tmp_path: Path) -> None:
+    outcome, kinds = session("claims: refuse", tmp_path)
+    assert isinstance(outcome.error, DeclarationError) and "claims: warn" in str(outcome.error) and kinds == ["rate"]
+
+
+@pytest.mark.parametrize("options", ["required: false, claims: refuse", "required: false, raises: true"])
+def test_an_optional_source_that_is_not_as_declared_does_not_end_the_session(options: str, tmp_path: Path) -> None:
+    outcome, _ = session(options, tmp_path)
+    assert outcome.error is None and outcome.table["board.emg"]["samples"] == 2000
