@@ -43,7 +43,7 @@ def _compare_flags_quickly() -> None:
     """By what was set: numba looks up every call by its flags, and reads all their defaults for it (7 % of the time that it compiles)."""
     flags: Any = targetconfig.TargetConfig
 
-    def equal(one: Any, other: object) -> bool:
+    def equal(one: Any, other: Any) -> bool:
         return one is other or (
             type(one) is type(other) and (one._values == other._values or one.values() == other.values())
         )
