@@ -62,9 +62,11 @@ def bed_in(depth: Samples, limits: BedLimits) -> tuple[int, int, int, int] | Non
     down, right = _slope(depth, valid)
     factor = _factors(depth.shape, down, right)
     valid &= factor > HORIZON
+    if not valid.any():
+        return None
     upright = 1 / np.sqrt(1 + (FOCAL * down) ** 2 + (FOCAL * right) ** 2)
     below = np.where(valid, depth * factor * upright, np.nan)
-    counts = np.bincount((below[valid] / BIN_MM).astype(np.int64))
+    counts = np.bincount((below[valid] / BIN_MM).astype(np.int64), minlength=3)
     near = np.convolve(counts, np.ones(3), mode="same")
     floors = np.flatnonzero(
         (near >= FLOOR_SHARE * depth.size) & (near >= np.roll(near, 1)) & (near >= np.roll(near, -1))
@@ -92,7 +94,9 @@ def _slope(depth: Samples, valid: Mask) -> tuple[float, float]:
         factor = _factors(depth.shape, down, right)
         seen = valid & (factor > HORIZON)
         levels = np.log(depth[seen] * factor[seen]) * (4 / share)
-        counts = np.bincount((levels - levels.min()).astype(np.int64)).astype(np.float64)
+        if not len(levels):
+            return 0.0
+        counts = np.bincount((levels - levels.min()).astype(np.int64), minlength=len(NEARNESS)).astype(np.float64)
         return float(counts @ np.convolve(counts, NEARNESS, mode="same"))
 
     tried = [(np.tan(tilt) / FOCAL, roll / np.cos(tilt) / FOCAL) for tilt in TILTS for roll in ROLLS]
@@ -110,7 +114,7 @@ def _plateau(high: Samples, areas: Samples, limits: BedLimits) -> tuple[int, int
     within = high[(high >= limits.lowest_mm) & (high <= limits.highest_mm)]
     if not len(within):
         return None
-    counts = np.convolve(np.bincount((within / BIN_MM).astype(np.int64)), np.ones(3), mode="same")
+    counts = np.convolve(np.bincount((within / BIN_MM).astype(np.int64), minlength=3), np.ones(3), mode="same")
     best, found = 0, None
     for top in np.argsort(-counts, kind="stable")[:TOPS]:
         if not counts[top] or (top + 0.5) * BIN_MM < limits.lowest_mm:

@@ -43,6 +43,11 @@ def test_the_bed_is_found_from_any_side(where: str, height: float, tilt: float, 
     assert held > 0.75 and filled > 0.6
 
 
+@pytest.mark.parametrize("depth", [40.0, 2000.0, 65535.0])
+def test_a_wall_before_the_camera_is_no_bed(depth: float) -> None:
+    assert bed_in(np.full((24, 32), depth), LIMITS) is None
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("sensor", ["tof", "stereo"])
 def test_the_bed_is_found_in_nine_random_rooms_of_ten(sensor: str) -> None:

@@ -26,6 +26,7 @@ ROOM = (
 def test_a_bed_that_was_found_holds_who_lies_in_it(kinegraph: Command) -> None:
     code, out, _ = kinegraph("sleep", "check", *ROOM)
     assert code == 0 and "NOT WELL" not in out and "the region holds 100%" in out and "the light is the same" in out
+    assert "well: breath is seen: 1" in out and "next: kinegraph run" in out
 
 
 @pytest.mark.parametrize(

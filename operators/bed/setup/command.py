@@ -10,10 +10,14 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from kinegraph.operators.bed.breath_watch import CONFIDENT, STILL_MM_S
+from kinegraph.operators.bed.setup.judgement import BedFinding
 from kinegraph.stream.chunk import NS, Chunk
 from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
+
+BREATH_S = 30.0
 
 
 def check(
@@ -27,7 +31,7 @@ def check(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check a depth camera over a bed: whether the region holds, noise, and light.
+    """Set up a camera over a bed: whether the region holds, noise, light, breath, and where to go on.
 
     Stay out of bed for a minute, lie down, and lie still for a minute.
 
@@ -50,14 +54,30 @@ def check(
         looks.run()
     stays = dict(zip(looks.sleepers, looks.minutes[1:], strict=True))
     findings = judge(looks.minutes[0], stays, looks.regions, looks.block, made.rise_mm, made.min_share)
+    findings += [found for name in looks.sleepers if (found := looks.breath(name)) is not None]
+    notes = [_broker(host, port) for host, port in made.brokers] if not simulate else []
     if as_json:
-        print_json({"findings": findings, "problems": looks.problems})
+        print_json({"findings": findings, "problems": looks.problems, "notes": notes})
     for finding in findings if not as_json else ():
         say(f"{'well' if finding.well else 'NOT WELL'}: {finding.text}")
     for problem in looks.problems if not as_json else ():
         say(f"NOT WELL: the camera says: {problem}")
     if looks.problems or not all(finding.well for finding in findings):
         raise KinegraphError("the night would not be recorded properly; correct this, and check again")
+    if not as_json:
+        for note in [*notes, f"next: kinegraph run {config}, or the service of docs/use/bedside.md"]:
+            say(note)
+
+
+def _broker(host: str, port: int) -> str:
+    """Whether anything answers where the graph publishes."""
+    import socket
+
+    try:
+        with socket.create_connection((host, port), timeout=2.0):
+            return f"well: something answers at {host}:{port}, where the broker should be"
+    except OSError as error:
+        return f"note: no broker answers at {host}:{port} ({error.strerror or error}): no live states, the rest works"
 
 
 class Looks:
@@ -66,6 +86,7 @@ class Looks:
     again = False
 
     def __init__(self, graph: Any, out_s: float, between_s: float, in_s: float, *, quiet: bool = False) -> None:
+        from kinegraph.operators.bed.breath_cells import BreathCells
         from kinegraph.operators.bed.setup.judgement import Minute
         from kinegraph.stream.engine.pipeline import Pipeline
         from kinegraph.stream.system.clock import SessionClock
@@ -86,6 +107,12 @@ class Looks:
             words += [f"{who}lie down as you sleep; you have {between_s:g} s", f"{who}lie still for {in_s:g} s"]
         self._ends, self._words = [round(s * NS) for s in accumulate(lengths)], words
         self._said, self._begun, self._quiet = -1, -1, quiet
+        self._cells = [
+            BreathCells.of(blocks.spec.shape, blocks.spec.rate_hz or 1.0, BREATH_S, 0, STILL_MM_S)
+            for _ in self.sleepers
+        ]
+        self._lay = [0] * len(self.sleepers)
+        """When each was last seen lying still (ns); 0: never."""
         blocks.observers.append(self._blocks)
         self.pipeline.stages["view"].edges["out"].observers.append(self._views)
         self.pipeline.stages["bed"].edges["out"].observers.append(self._bed)
@@ -111,6 +138,9 @@ class Looks:
             phase = self._phase(time)
             if phase % 2 == 0 and not self.stopped:
                 self.minutes[phase // 2].add(np.asarray(frame))
+                if phase:
+                    self._cells[phase // 2 - 1].add(np.asarray(frame, np.float64), time)
+                    self._lay[phase // 2 - 1] = time
 
     def _views(self, chunk: Chunk) -> None:
         for event in chunk.data:
@@ -124,6 +154,22 @@ class Looks:
             row, column, rows, columns = (int(e[name]) // self.block for name in ("row", "column", "rows", "columns"))
             if rows:
                 self.regions[str(e["sleeper"])] = row, column, max(1, rows), max(1, columns)
+
+    def breath(self, sleeper: str) -> BedFinding | None:
+        """Whether this sleeper's breath was seen in the last half minute of lying still; None: nobody was seen in a region."""
+        k = self.sleepers.index(sleeper)
+        region = self.regions.get(sleeper)
+        if region is None or not self._lay[k]:
+            return None
+        (found,) = self._cells[k].breaths(self._lay[k] - round(BREATH_S * NS), np.array([region], np.int64))
+        who = f" ({sleeper})" if len(self.sleepers) > 1 else ""
+        if found.moved:
+            return BedFinding(True, f"breath{who} was not looked for: something moved in the last half minute")
+        if found.confidence >= CONFIDENT:
+            return BedFinding(True, f"breath is seen{who}: {found.rate:.1f} per minute")
+        return BedFinding(
+            False, f"no breath is seen{who}: come nearer, choose a lighter blanket, or a camera with less noise"
+        )
 
     # what a source needs of a feed
     def emit(self, chunk: Chunk, output: str = "out") -> None:

@@ -23,11 +23,15 @@ from kinegraph.stream.system.names import use_of
 
 @dataclass(frozen=True, slots=True)
 class SetupGraph:
-    """The graph of `camera`, `simplify`, `view` and `bed`; rise_mm and min_share are those of the whole graph's presence."""
+    """The graph of `camera`, `simplify`, `view` and `bed`; rise_mm and min_share are those of the whole graph's presence.
+
+    brokers   hosts and ports that the graph publishes to
+    """
 
     graph: Graph
     rise_mm: float
     min_share: float
+    brokers: tuple[tuple[str, int], ...] = ()
 
 
 def small(config: Path, settings: Sequence[str]) -> SetupGraph:
@@ -50,7 +54,10 @@ def small(config: Path, settings: Sequence[str]) -> SetupGraph:
         "view": {**_written(_one(whole, View, config)), "from": "simplify.blocks"},
         "bed": {**_written(_one(whole, BedRegion, config)), "from": {"view": "view", "in": "simplify.blocks"}},
     }
-    return SetupGraph(load_text(json.dumps({"nodes": nodes}), str(config)), presence.rise_mm, presence.min_share)
+    brokers = [getattr(node.part, "broker", None) for node in whole.nodes.values()]
+    hosts = sorted({(str(b.host), int(b.port)) for b in brokers if b is not None and b.host})
+    graph = load_text(json.dumps({"nodes": nodes}), str(config))
+    return SetupGraph(graph, presence.rise_mm, presence.min_share, tuple(hosts))
 
 
 def _one(graph: Graph, kind: type, config: Path) -> Node:
