@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import secrets
 import shutil
 import socket
 import time
@@ -60,6 +61,9 @@ EXPORTS = {
     "parquet": ".parquet",
 }
 """Formats that a lab exports to, and how their files end; "": a folder, which is packed."""
+CHECKED, REFERENCES = "checks", "references"
+"""Folders of a lab: graphs as they were checked, and references for amplitudes."""
+MAX_CHECKS = 4
 MOST_UPLOAD = 8 << 30
 
 log = structlog.get_logger(__name__)
@@ -74,6 +78,7 @@ class Lab:
         self._found: list[dict[str, Any]] = []
         self._looked_s = -1e9
         self._looking = asyncio.Lock()
+        self._checks: dict[str, tuple[jobs.Check, asyncio.Task[None]]] = {}
 
     # who controls ----------------------------------------------------------------------------------------------------
 
@@ -140,13 +145,61 @@ class Lab:
         write_complete(path, text)
         return JSONResponse({"graph": f"{PRESETS}/{path.name}"})
 
+    async def post_check(self, request: Request) -> Response:
+        """Begin a check: of the electrodes, or of the camera over the bed."""
+        asked = await as_request(request)
+        graph, kind = graph_file(self.home, str(asked["graph"])), str(asked["kind"])
+        if kind not in ("electrodes", "bed"):
+            raise KinegraphError(f"there is no check {kind!r}")
+        text = await asyncio.to_thread(rewritten, graph, dict(asked["values"]))
+        private_folder(self.home / CHECKED)
+        path = self.home / CHECKED / f"{graph.stem}.yaml"
+        write_complete(path, text)
+        command = ("emg", "check-electrodes") if kind == "electrodes" else ("sleep", "check")
+        check, name = jobs.Check(), secrets.token_hex(8)
+        simulate = ["--simulate"] if asked.get("simulate") else []
+        task = asyncio.create_task(
+            check.run(self.home, *command, str(path.relative_to(self.home)), *simulate, "--json")
+        )
+        while len(self._checks) >= MAX_CHECKS:
+            self._checks.pop(next(iter(self._checks)))[1].cancel()
+        self._checks[name] = check, task
+        return JSONResponse({"id": name})
+
+    async def get_check(self, request: Request) -> Response:
+        check, _ = self._checks.get(request.path_params["id"], (None, None))
+        if check is None:
+            raise KinegraphError("there is no such check")
+        try:
+            found = json.loads(check.found) if check.found else {}
+        except ValueError:
+            found = {}
+        return JSONResponse({"said": check.said, "code": check.code, "found": found})
+
+    async def post_calibrate(self, request: Request) -> Response:
+        """A reference for amplitudes from a session of strongest contractions."""
+        session = self._session(request)
+        private_folder(self.home / REFERENCES)
+        who = re.sub(r"[^\w.-]+", "_", str(session.facts.get("subject", ""))).strip("._") or session.id
+        out = f"{REFERENCES}/{who}.mvc.json"
+        code, text = await jobs.kinegraph(
+            self.home, "emg", "calibrate", "mvc", str(session.folder), "-o", out, "--overwrite"
+        )
+        if code:
+            raise KinegraphError(text.removeprefix("kinegraph: ")[-600:])
+        return JSONResponse({"file": out})
+
     async def post_session(self, request: Request) -> Response:
         asked = await as_request(request)
         graph = str(asked["graph"])
         name = graph_file(self.home, graph).stem
         session = await asyncio.to_thread(
             lambda: self.sessions.run(
-                argument(self.home, graph), name, dict(asked["values"]), simulate=bool(asked.get("simulate"))
+                argument(self.home, graph),
+                name,
+                dict(asked["values"]),
+                simulate=bool(asked.get("simulate")),
+                kind="mvc" if asked.get("kind") == "mvc" else "session",
             )
         )
         return JSONResponse({"id": session.id})
@@ -232,7 +285,7 @@ class Lab:
             await asyncio.to_thread(shutil.make_archive, str(out), "zip", out)
             shutil.rmtree(out)
             out = out.with_name(out.name + ".zip")
-        return JSONResponse({"file": out.name, "note": text[-600:]})
+        return JSONResponse({"file": out.name, "note": _left_out(text)})
 
     async def post_compare(self, request: Request) -> Response:
         session, asked = self._session(request), await as_request(request)
@@ -326,6 +379,11 @@ def _devices() -> list[dict[str, Any]]:
     return found
 
 
+def _left_out(text: str) -> str:
+    """What an export says beside what it has written."""
+    return "\n".join(line for line in text.splitlines() if " samples to " not in line)[-600:]
+
+
 def _node(yaml: str) -> dict[str, Any]:
     """What a device's YAML says: the source that reads it, and its parameters."""
     try:
@@ -356,6 +414,8 @@ def app_of(home: Path, access: Access) -> ASGIApp:
         Route("/api/form", lab.get_form),
         post("/api/presets", lab.post_preset),
         post("/api/import", lab.post_import),
+        post("/api/checks", lab.post_check),
+        Route("/api/checks/{id}", lab.get_check),
         post("/api/sessions", lab.post_session),
         Route(one, lab.get_session),
         Route(one, lab.delete_session, methods=["DELETE"]),
@@ -364,6 +424,7 @@ def app_of(home: Path, access: Access) -> ASGIApp:
         post(one + "/export", lab.post_export),
         post(one + "/compare", lab.post_compare),
         post(one + "/replay", lab.post_replay),
+        post(one + "/calibrate", lab.post_calibrate),
         post(one + "/{act:str}", lab.post_session_act),
         WebSocketRoute("/sessions/{id}/socket", lab.page_socket),
         Route("/sessions/{id}/{path:path}", lab.get_page),

@@ -23,6 +23,8 @@ from kinegraph.stream.source import Source
 
 SUBJECT = "session.subject"
 MANUAL = "stream.manual."
+CHECKS = {"electrodes": ("operators.emg.",), "mvc": ("operators.emg.normalise.",), "bed": ("operators.bed.",)}
+"""Checks that are of use before a session, by what the graph holds."""
 SIMULATORS = "kinegraph.simulators"
 
 
@@ -44,7 +46,15 @@ def form_of(path: Path) -> dict[str, Any]:
             *(_field(n, *_known(one, top)) for n, one in settings.items() if n != "subject"),
         ],
         "devices": [*_devices(top)],
+        "checks": [name for name, packages in CHECKS.items() if _uses(top, packages)],
     }
+
+
+def _uses(top: Mapping[str, Located], packages: tuple[str, ...]) -> bool:
+    """Whether a node is of one of these packages."""
+    nodes = top["nodes"].items() if "nodes" in top else {}
+    used = [str(use.value) for at in nodes.values() if (use := at.items().get("use"))]
+    return any(one.startswith(packages) for one in used)
 
 
 def _facts(top: Mapping[str, Located], settings: Mapping[str, GraphSetting]) -> Iterator[dict[str, Any]]:

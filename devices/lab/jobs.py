@@ -7,14 +7,37 @@ import shutil
 import sys
 from pathlib import Path
 
+COMMAND = (sys.executable, "-P", "-c", "from kinegraph.stream.cli.main import main; main()")
+MAX_SAID = 20_000
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
 async def kinegraph(home: Path, *arguments: str) -> tuple[int, str]:
     """Call a command in the lab's folder: its exit code, and what it printed."""
-    return await _called(
-        home, sys.executable, "-P", "-c", "from kinegraph.stream.cli.main import main; main()", *arguments
-    )
+    return await _called(home, *COMMAND, *arguments)
+
+
+class Check:
+    """A check under way: a command that says what is to be done on its standard error, and what it found as JSON."""
+
+    def __init__(self) -> None:
+        self.said, self.found, self.code = "", "", -1
+
+    async def run(self, home: Path, *arguments: str) -> None:
+        """Call the command until it ends."""
+        process = await asyncio.create_subprocess_exec(
+            *COMMAND, *arguments, cwd=home, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+        )  # fmt: skip
+        assert process.stdout and process.stderr
+        try:
+            reading = asyncio.create_task(process.stdout.read())
+            async for line in process.stderr:
+                self.said = (self.said + line.decode(errors="replace"))[-MAX_SAID:]
+            self.found = (await reading).decode(errors="replace")
+            self.code = await process.wait()
+        finally:
+            if process.returncode is None:
+                process.terminate()
 
 
 async def pdf(page: Path, into: Path) -> str:

@@ -14,7 +14,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -22,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from kinegraph.devices.lab.jobs import COMMAND
 from kinegraph.stream.data.json_file import read_json, write_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder
@@ -114,7 +114,7 @@ class LabSession:
             for p in self.folder.rglob("*")
             if p.suffix in FILES and p.is_file() and p.name != FACTS and not p.name.startswith(".")
         ]
-        return sorted(found, key=lambda p: (p.suffix != ".html", p.name))
+        return sorted(found, key=lambda p: (p.suffix != ".html", p.stem == "comparison", p.name))
 
     def keep_reports(self) -> None:
         """Copy what the session wrote elsewhere in the lab's folder, where the next one would replace it."""
@@ -133,7 +133,7 @@ class LabSession:
         """What lists show of it."""
         facts, runs, output = self.facts, self.runs, self.output
         ended = ENDED.search(output)
-        error = "" if runs else _error(output)
+        error = "" if runs else _error(output, whole=any(self.folder.glob("*.mcap")))
         size = sum(p.stat().st_size for p in self.folder.rglob("*") if p.is_file())
         return {
             "id": self.id, **{k: facts.get(k, "") for k in ("graph", "name", "subject", "kind", "remarks", "result", "devices")},
@@ -147,16 +147,12 @@ class LabSession:
         shutil.rmtree(self.folder)
 
 
-def _error(output: str) -> str:
-    """The last thing that the command complained of."""
+def _error(output: str, *, whole: bool) -> str:
+    """What the command complained of last; without a word of it, and where nothing was recorded, all that it printed."""
     found = [text for text in ERROR.findall(output) if text.strip() != "stopped"]
-    return (
-        str(found[-1]).strip()
-        if found
-        else ""
-        if ENDED.search(output) or "replayed" in output
-        else output.strip()[-500:]
-    )
+    if found:
+        return str(found[-1]).strip()
+    return "" if whole or ENDED.search(output) or "kinegraph: stopped" in output else output.strip()[-500:]
 
 
 class Sessions:
@@ -193,7 +189,7 @@ class Sessions:
         with (folder / LOCK).open("wb") as lock, (folder / OUTPUT).open("wb") as output:
             fcntl.flock(lock, fcntl.LOCK_EX)  # which the process inherits, and keeps
             child = subprocess.Popen(
-                [sys.executable, "-P", "-c", "from kinegraph.stream.cli.main import main; main()", *arguments],
+                [*COMMAND, *arguments],
                 cwd=self.home, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
                 start_new_session=True, pass_fds=[lock.fileno()],
             )  # fmt: skip
@@ -202,14 +198,16 @@ class Sessions:
         session.note(pid=child.pid)
         return session
 
-    def run(self, graph: str, name: str, values: Mapping[str, Any], *, simulate: bool) -> LabSession:
-        """Run a graph, as `kinegraph run` does."""
+    def run(
+        self, graph: str, name: str, values: Mapping[str, Any], *, simulate: bool, kind: str = "session"
+    ) -> LabSession:
+        """Run a graph, as `kinegraph run` does; the `kind` mvc is a session of strongest contractions."""
         folder = self.new(name)
         more = ["--simulate"] if simulate else []
         settings = [part for key, value in values.items() for part in ("--set", f"{key}={json.dumps(value)}")]
         arguments = ["run", graph, *settings, "-o", str(folder), "--view", "none", "--page-at", "127.0.0.1:0", *more]
         facts = {
-            "kind": "session", "graph": graph, "name": name, "values": dict(values), "subject": str(values.get("session.subject", "")),
+            "kind": kind, "graph": graph, "name": name, "values": dict(values), "subject": str(values.get("session.subject", "")),
             "devices": "simulated devices" if simulate else "",
         }  # fmt: skip
         return self.begin(folder, arguments, facts)

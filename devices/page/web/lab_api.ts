@@ -2,7 +2,7 @@
 
 export interface Offer { graph: string; title: string; what: string }
 export interface Summary {
-  id: string; graph: string; name: string; subject: string; kind: "session" | "replay" | "import"; remarks: string; result: string; devices: string;
+  id: string; graph: string; name: string; subject: string; kind: "session" | "replay" | "import" | "mvc"; remarks: string; result: string; devices: string;
   began_s: number; lasted_s: number | null; runs: boolean; error: string; bytes: number;
 }
 export interface Home { uses: Offer[]; more: Offer[]; presets: Offer[]; graphs: Offer[]; sessions: Summary[]; free_bytes: number; folder: string }
@@ -11,7 +11,7 @@ export interface Field {
   name: string; label: string; unit: string; help: string; type: string; min: number | null; max: number | null; choices: Value[]; value: Value; part: string;
 }
 export interface Source { node: string; use: string; can_simulate: boolean; given: Record<string, Value> }
-export interface Form { graph: string; title: string; name: string; summary: string; fields: Field[]; devices: Source[] }
+export interface Form { graph: string; title: string; name: string; summary: string; fields: Field[]; devices: Source[]; checks: string[] }
 export interface Found { kind: string; address: string; what: string; yaml: string; note: string; use: string; parameters: Record<string, Value> }
 export interface State extends Summary {
   values: Record<string, Value>; page: boolean; output: string; files: string[]; free_bytes: number; now_s: number; controls: boolean;

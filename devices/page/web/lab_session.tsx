@@ -2,6 +2,7 @@
 
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { day, type Form, get, type Home, lasting, send, size, type State, type Summary } from "./lab_api";
+import { Bars } from "./lab_check";
 import { Fields, type Values } from "./lab_form";
 import { usePolled } from "./lab_poll";
 import { again } from "./lab_setup";
@@ -64,7 +65,7 @@ function Running({ state, path, lost, ask }: { state: State; path: string; lost:
         ) : <div class="large"><span class="quiet">somebody else controls this session</span><button type="button" onClick={() => void act("control")}>Take control</button></div>}
         <output role="status" class={lost ? "bad" : "quiet"}>{lost || said}</output>
       </div>
-      {state.page ? <iframe class="page" src={source} title="what the session measures" /> : (
+      {state.page && state.kind === "mvc" ? <Bars id={state.id} mark={mark} /> : state.page ? <iframe class="page" src={source} title="what the session measures" /> : (
         <div class="waiting" role="status"><p>Starting</p><p class="quiet">{lastLine(state.output) || "devices are looked for, and kernels are made ready; the first start of a use takes longest"}</p></div>
       )}
     </div>
@@ -113,6 +114,15 @@ function Finished({ state, path }: { state: State; path: string }) {
     save(made);
     return note || `saved ${made}`;
   });
+  const reference = () => attempt("mvc", async () => {
+    const { file: made } = await send<{ file: string }>(`${path}/calibrate`, {});
+    const form = await get<Form>(`api/form?graph=${encodeURIComponent(state.graph)}`);
+    const named = (end: string) => form.fields.find((field) => field.name === end || field.name.endsWith(`.${end}`))?.name;
+    const [scale, method] = [named("scale"), named("method")];
+    Object.assign(again, { graph: state.graph, values: { ...state.values, ...(scale ? { [scale]: made } : {}), ...(method ? { [method]: "mvc" } : {}) } });
+    location.hash = `#/setup/${encodeURIComponent(state.graph)}`;
+    return "";
+  });
   const repeat = () => {
     Object.assign(again, { graph: state.graph, values: state.values });
     location.hash = `#/setup/${encodeURIComponent(state.graph)}`;
@@ -131,6 +141,7 @@ function Finished({ state, path }: { state: State; path: string }) {
         <label class="inline">Export <select disabled={!!busy} value="" onChange={(e) => { const { value } = e.currentTarget; e.currentTarget.value = ""; if (value) void exported(value); }}>
           <option value="">{busy === "export" ? "exporting…" : "as…"}</option>{EXPORTS.map((one) => <option key={one} value={one}>{one}</option>)}
         </select></label>
+        {state.kind === "mvc" ? <button type="button" class="primary" disabled={!!busy} onClick={() => void reference()}>{busy === "mvc" ? "computing…" : "Use as the reference"}</button> : null}
         {state.graph ? <button type="button" onClick={repeat}>Once more with these settings</button> : null}
       </div>
       <p role="status" class="said">{said}</p>

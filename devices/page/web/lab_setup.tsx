@@ -2,7 +2,10 @@
 
 import { useEffect, useState } from "preact/hooks";
 import { type Form, type Found, get, send, type Value } from "./lab_api";
+import { Check } from "./lab_check";
 import { Devices, Fields, type Values } from "./lab_form";
+
+const SUBJECT = "session.subject";
 
 /** Values that the next form of this graph begins with: those of the session that it repeats. */
 export const again: { graph: string; values: Values } = { graph: "", values: {} };
@@ -29,7 +32,8 @@ export function Setup({ graph }: { graph: string }) {
       return value === undefined ? rest : { ...rest, [name]: value };
     });
   const all = (): Values => {
-    const given = { ...values };
+    const subject = form.fields.find((field) => field.name === SUBJECT)?.value;
+    const given: Values = { ...(subject ? { [SUBJECT]: subject } : {}), ...values };
     if (!simulate)
       for (const [node, address] of Object.entries(chosen)) {
         const device = (found ?? []).find((one) => one.address === address);
@@ -47,9 +51,9 @@ export function Setup({ graph }: { graph: string }) {
     }
     setBusy(false);
   };
-  const start = () => attempt(async () => {
+  const start = (kind = "session") => attempt(async () => {
     const devices = form.devices.some((source) => source.can_simulate);
-    const { id } = await send<{ id: string }>("api/sessions", { graph, values: all(), simulate: simulate && devices });
+    const { id } = await send<{ id: string }>("api/sessions", { graph, values: all(), simulate: simulate && devices, kind });
     location.hash = `#/session/${encodeURIComponent(id)}`;
   });
   const keep = () => {
@@ -70,6 +74,12 @@ export function Setup({ graph }: { graph: string }) {
         <Devices sources={form.devices} found={found} simulate={simulate} choose={setSimulate} chosen={chosen} pick={(node, address) => setChosen((old) => ({ ...old, [node]: address }))} />
       </section>
       {settings.length ? <section><h2>Settings</h2><Fields fields={settings} values={values} change={change} /></section> : null}
+      {form.checks.length ? (
+        <section><h2>Check</h2>
+          {form.checks.filter((kind) => kind !== "mvc").map((kind) => <Check key={kind} kind={kind} graph={graph} values={all} simulate={simulate && form.devices.some((one) => one.can_simulate)} />)}
+          {form.checks.includes("mvc") ? <div class="actions"><button type="button" disabled={busy} onClick={() => void start("mvc")}>Strongest contractions…</button><span class="quiet">muscle by muscle, as a reference for amplitudes</span></div> : null}
+        </section>
+      ) : null}
       <div class="actions">
         <button type="submit" class="primary" disabled={busy}>Start</button>
         <button type="button" disabled={busy} onClick={keep}>Save as preset</button>

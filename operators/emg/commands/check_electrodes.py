@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path as File
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
@@ -66,7 +67,7 @@ def check_electrodes(
             ohm = _measure(source, File(folder) / "check", quiet, strong, simulate=simulate, impedance=impedance)
             found, unit = _judge(File(folder) / "check", emg, quiet, strong, ohm, 1000 * max_kohm)
     if as_json:
-        print_json({"unit": unit, "electrodes": found})
+        print_json({"unit": unit, "electrodes": [{**asdict(one), "advice": one.advice} for one in found]})
     else:
         _show(found, unit)
     if poor := [f"{e.name} {e.reason}" for e in found if e.flag != "good"]:
