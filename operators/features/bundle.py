@@ -8,12 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from kinegraph.operators.features.bundle_kernel import bundle_frames
+from kinegraph.operators.features.bundle_kernel import NUMBERS, BundleMemory, bundle_frames
 from kinegraph.operators.features.stack import pieces
 from kinegraph.operators.inputs.continuity import Continuity, watch
 from kinegraph.operators.neighbours.index import LIMITS
 from kinegraph.operators.neighbours.layout import IndexState, allocate, clear
-from kinegraph.stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.chunk import FOREVER, Chunk, Specs, StreamSpec
 from kinegraph.stream.data.require import numeric, regular, samples_in
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import reset_gap
@@ -26,17 +26,10 @@ APART = 4
 
 @dataclass(slots=True)
 class BundleState(Continuity):
-    """See operators.features.bundle_kernel for the shapes; `pull` and what follows is room, and remembers nothing."""
+    """What is known of the input, of its frames so far, and of the newest ones."""
 
     index: IndexState
-    recent: Samples
-    past: Times
-    places: Times
-    pull: Samples
-    gram: Samples
-    basis: Samples
-    room: Samples
-    ways: Samples
+    memory: BundleMemory
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,18 +75,23 @@ class Bundle(Operator[BundleState]):
             least = (self.k + self.ahead + 1) / rate_hz
             raise ParameterError("window_s", self.window_s, f"from {least:g} to {LIMITS['window'][1] / rate_hz:g}")
         d, k = spec.shape[0], self.k
-        state = BundleState(
-            **watch(spec, delay_s=self.ahead / rate_hz, reset_gap_s=self.reset_gap_s),
-            index=allocate(d, window, k),
+        memory = BundleMemory(
+            numbers=np.zeros((), NUMBERS),
             recent=np.zeros((self.ahead + 3, d)),
             past=np.zeros((2, self.ahead + 1), np.int64),
-            places=np.zeros(2, np.int64),
+            ways=np.zeros((3, max(d, k))),
             pull=np.zeros((d, k)),
             gram=np.zeros((k, k)),
             basis=np.zeros((k, k)),
-            room=np.zeros((6, k)),
-            ways=np.zeros((3, max(d, k))),
+            values=np.zeros(k),
+            rest=np.zeros(k),
+            weights=np.zeros(k),
+            aside=np.zeros(k),
+            here=np.zeros(k),
         )
+        memory.k, memory.variance, memory.ahead, memory.furthest = k, self.variance, self.ahead, APART * spec.period_ns
+        continuity = watch(spec, delay_s=self.ahead / rate_hz, reset_gap_s=self.reset_gap_s)
+        state = BundleState(**continuity, index=allocate(d, window, k), memory=memory)
         self.set_state(state, delay_s=self.ahead / rate_hz)
         return {"out": out.derive(meta={**spec.meta, "bundled": {"k": k, "variance": self.variance}})}
 
@@ -106,20 +104,17 @@ class Bundle(Operator[BundleState]):
             if chunk.lost and s.breaks(chunk):
                 clear(s.index)
             s.last[0] = chunk.time[-1]
-            furthest = APART * s.period_ns
-            made = bundle_frames(
-                s.index.floats, s.index.books, chunk.data, self.k, self.variance, self.ahead, furthest, chunk.lost,
-                chunk.time, s.recent, s.past, s.places, s.pull, s.gram, s.basis, s.room, s.ways, out, when,
-            )  # fmt: skip
+            index = s.index
+            made = bundle_frames(index.floats, index.books, s.memory, chunk.data, chunk.time, chunk.lost, out, when)
         return pieces(when[0, :made], out[:made], when[1, :made], self._promise(chunk.until))
 
     def _promise(self, until: int) -> int:
         """No later frame comes out with a stamp at or before this: not before the oldest that still waits."""
-        s = self.state
-        waiting = min(int(s.places[0]), self.ahead)
-        if until == FOREVER or not waiting or until - s.last.item(0) > APART * s.period_ns:
+        memory = self.state.memory
+        waiting = min(memory.frames, self.ahead)
+        if until == FOREVER or not waiting or until - self.state.last.item(0) > memory.furthest:
             return until
-        return min(until, int(s.past[0, self.ahead + 1 - waiting]) - 1)
+        return min(until, int(memory.past[0, self.ahead + 1 - waiting]) - 1)
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
