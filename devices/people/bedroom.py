@@ -57,9 +57,13 @@ class Extras:
 @kernel(nogil=True)
 def _sense(
     base: Map, chest: Map, breath: float, limb: Map, lifted: float, lamp: Map, lit: float, noise: Map, seen: Map,
-    invalid: float, pattern: int, down: int, right: int, out: Frame,
+    invalid: float, place: tuple[int, int, int], out: Frame,
 ) -> None:  # fmt: skip
-    """Depths (h, w) less what has risen, as disparities with noise, in whole mm; 0 where nothing is measured."""
+    """Depths (h, w) less what has risen, as disparities with noise, in whole mm; 0 where nothing is measured.
+
+    place  which pattern of noise, and by how many rows and columns it is moved
+    """
+    pattern, down, right = place
     height, width = base.shape
     for y in range(height):
         v = y + down if y + down < height else y + down - height
@@ -75,7 +79,7 @@ def _sense(
 def prepare() -> None:
     """Compile what renders, so that nothing compiles while a session runs."""
     flat, pattern = np.full((1, 1), 2000.0, np.float32), np.zeros((1, 1, 1), np.float32)
-    _sense(flat, flat, 0.0, flat, 0.0, flat, 0.0, pattern, pattern, 0.0, 0, 0, 0, np.empty((1, 1), np.uint16))
+    _sense(flat, flat, 0.0, flat, 0.0, flat, 0.0, pattern, pattern, 0.0, (0, 0, 0), np.empty((1, 1), np.uint16))
 
 
 class Bedroom:
@@ -123,10 +127,10 @@ class Bedroom:
             base = base - pet
         out = np.empty((self.height, self.width), np.uint16)
         lit = 1.0 if self._extras.lamp and not any(p.in_bed(seconds) for p in self.plans) else 0.0
-        down, right = index * 7919 % self.height, index * 104_729 % self.width
+        place = index % VARIANTS, index * 7919 % self.height, index * 104_729 % self.width
         _sense(
             base, chest, breath, limb, lifted, self._lamp, lit, self._noise, self._seen,
-            self._extras.invalid, index % VARIANTS, down, right, out,
+            self._extras.invalid, place, out,
         )  # fmt: skip
         return out
 

@@ -13,7 +13,8 @@ from kinegraph.operators.features.skeleton import SETS, find_joints, pairs
 from kinegraph.operators.inputs.directions import HELP, right_handed_up
 from kinegraph.operators.inputs.lengths import CM, length_of
 from kinegraph.operators.inputs.marker_columns import marker_columns
-from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.compiler.record import numbers_of, record
 from kinegraph.stream.domain.axes import BODY, WAYS, Axes, Up, in_axes
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.kernel import kernel
@@ -22,7 +23,45 @@ from kinegraph.stream.params import param
 
 FLAT = 0.2
 """Where the hips' distance is horizontal by less than this share, they tell no heading."""
-FRAMES, TOTAL, COS, SIN = range(4)
+
+
+class PoseNumbers:
+    width: int
+    cm: float
+    up: int
+    sign: float
+    has_root: bool
+    has_heading: bool
+    body_cm: float
+    learn: int
+    frames: int
+    total: float
+    cos: float
+    sin: float
+
+
+@record
+@dataclass(slots=True)
+class PoseState(PoseNumbers):
+    """
+    columns  (p, 3)  columns of the points that make up joints
+    parts    (j, 2)  which of these make up a joint: the root, the left and right side, the m points that come out, those of chains
+    chains   (h, 2)  joints between which a bone lies, for the body's size
+    work     (j, 3)  room for the joints of one frame
+    width, cm        numbers of a sample; the input's unit in cm
+    up, sign         the axis that points up (0 to 2), or, with -1, down
+    learn            how many frames the body's size is taken from; frames, total: how many were, the sum of their sizes
+    cos, sin         of the newest heading
+    """
+
+    numbers: Array
+    columns: Times
+    parts: Times
+    chains: Times
+    work: Samples
+
+
+NUMBERS = numbers_of(PoseNumbers)
 
 
 @kernel
@@ -38,86 +77,47 @@ def middle(x: Samples, columns: Times, first: int, last: int, up: int, sign: flo
 
 
 @kernel
-def seen_from_body(
-    x: Samples,
-    columns: Times,
-    parts: Times,
-    chains: Times,
-    up: int,
-    sign: float,
-    root: bool,
-    heading: bool,
-    body_cm: float,
-    learn: int,
-    memory: Samples,
-    work: Samples,
-    out: Samples,
-) -> None:
-    """Poses of the bodies `x` (n, width) into `out` (n, 3 m).
-
-    columns  (p, 3)  columns of the points that make up joints
-    parts    (j, 2)  which of these make up a joint: the root, the left and right side, the m points that come out, those of chains
-    chains   (h, 2)  joints between which a bone lies, for the body's size
-    memory   (4,)    how many frames the size was taken from, their sum of sizes; cosine and sine of the newest heading
-    work     (j, 3)  room for the joints of one frame
-    """
+def seen_from_body(s: PoseState, x: Samples, out: Samples) -> None:
+    """Poses of the bodies `x` (n, width) into `out` (n, 3 m)."""
+    parts, chains, work = s.parts, s.chains, s.work
     joints, m = parts.shape[0], out.shape[1] // 3
     for i in range(x.shape[0]):
         for j in range(joints):
-            middle(x[i], columns, parts[j, 0], parts[j, 1], up, sign, work[j])
+            middle(x[i], s.columns, parts[j, 0], parts[j, 1], s.up, s.sign, work[j])
         known = True
-        if heading:
+        if s.has_heading:
             across, along = work[1, 0] - work[2, 0], work[1, 1] - work[2, 1]
             flat = math.sqrt(across * across + along * along)
             whole = math.sqrt(flat * flat + (work[1, 2] - work[2, 2]) ** 2)
             known = whole < math.inf
             if known and flat > FLAT * whole:
-                memory[COS], memory[SIN] = across / flat, along / flat
-        if not root:
+                s.cos, s.sin = across / flat, along / flat
+        if not s.has_root:
             work[0] = 0.0
         scale = 1.0
-        if body_cm > 0.0:
+        if s.body_cm > 0.0:
             size = 0.0
             for h in range(chains.shape[0]):
                 bone = work[chains[h, 0]] - work[chains[h, 1]]
                 size += math.sqrt(bone[0] * bone[0] + bone[1] * bone[1] + bone[2] * bone[2])
-            if memory[FRAMES] < learn and 0.0 < size < math.inf:
-                memory[FRAMES] += 1.0
-                memory[TOTAL] += size
-            scale = 2.0 * body_cm / (memory[TOTAL] / memory[FRAMES]) if memory[FRAMES] else math.nan
+            if s.frames < s.learn and 0.0 < size < math.inf:
+                s.frames += 1
+                s.total += size
+            scale = 2.0 * s.body_cm / (s.total / s.frames) if s.frames else math.nan
         for k in range(m):
             a = work[3 + k, 0] - work[0, 0]
             b = work[3 + k, 1] - work[0, 1]
             c = work[3 + k, 2] - work[0, 2]
-            left = a * memory[COS] + b * memory[SIN]
-            front = a * memory[SIN] - b * memory[COS]
+            left = a * s.cos + b * s.sin
+            front = a * s.sin - b * s.cos
             fine = known and abs(left) < math.inf and abs(c) < math.inf and abs(front) < math.inf
             out[i, 3 * k] = left * scale if fine else math.nan
             out[i, 3 * k + 1] = c * scale if fine else math.nan
             out[i, 3 * k + 2] = front * scale if fine else math.nan
 
 
-@dataclass(slots=True)
-class PoseState:
-    columns: Times
-    parts: Times
-    chains: Times
-    memory: Samples
-    work: Samples
-    width: int
-    cm: float
-    learn: int
-
-
-class _Seen(Operator[PoseState]):
-    """What does not change while samples come: the axis that points up."""
-
-    __slots__ = ("upward",)
-    upward: str
-
-
 @dataclass(frozen=True, slots=True)
-class Pose(_Seen):
+class Pose(Operator[PoseState]):
     """Joints or markers (points, 3) in; out comes the pose: some points as seen from the body, x to its left, y up, z to its front, in cm.
 
     points   e15: ankles, head and wrists, 15 numbers, which the thesis's radii belong to; e30: also knees, elbows and neck; all
@@ -166,17 +166,18 @@ class Pose(_Seen):
         legs = 3 + len(shown)
         bones = [(legs + k, legs + k + 2) for k in range(4)] if body else []
         state = PoseState(
+            numbers=np.zeros((), NUMBERS),
             columns=np.array(columns, np.int64),
             parts=np.stack([ends - [len(found[joint]) for joint in order], ends], 1).astype(np.int64),
             chains=np.array(bones, np.int64).reshape(-1, 2),
-            memory=np.array([0.0, 0.0, 0.0, 1.0] if up[-1] == "y" else [0.0, 0.0, 1.0, 0.0]),
             work=np.zeros((len(order), 3)),
-            width=int(np.prod(spec.shape)),
-            cm=CM[unit],
-            learn=max(1, round(self.learn_s * (spec.rate_hz or 30.0))),
         )
+        state.width, state.cm, state.body_cm = int(np.prod(spec.shape)), CM[unit], self.body_cm
+        state.up, state.sign = "xyz".index(up[-1]), -1.0 if up[0] == "-" else 1.0
+        state.has_root, state.has_heading = self.root, self.heading
+        state.learn = max(1, round(self.learn_s * (spec.rate_hz or 30.0)))
+        state.cos, state.sin = (0.0, 1.0) if up[-1] == "y" else (1.0, 0.0)
         self.set_state(state)
-        object.__setattr__(self, "upward", up)
         mirror = [[f"{a}.{axis}", f"{b}.{axis}"] for a, b in pairs(shown) for axis in "xyz"]
         facts = {
             "pose": {"points": self.points, "joints": {joint: list(found[joint]) for joint in dict.fromkeys(order)}},
@@ -197,23 +198,7 @@ class Pose(_Seen):
         s = self.state
         out = np.empty((len(chunk.time), 3 * (len(s.parts) - 3 - (6 if len(s.chains) else 0))))
         if len(chunk.time):
-            up, sign = "xyz".index(self.upward[-1]), -1.0 if self.upward[0] == "-" else 1.0
-            x = chunk.data * s.cm
-            seen_from_body(
-                x,
-                s.columns,
-                s.parts,
-                s.chains,
-                up,
-                sign,
-                self.root,
-                self.heading,
-                self.body_cm,
-                s.learn,
-                s.memory,
-                s.work,
-                out,
-            )
+            seen_from_body(s, chunk.data * s.cm, out)
         return Chunk(chunk.time, out, chunk.until, chunk.lost)
 
     @classmethod
