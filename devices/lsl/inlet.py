@@ -22,7 +22,7 @@ from kinegraph.stream.params import param
 from kinegraph.stream.source import Feed, Source
 
 MEASURED_S, MOST_MEASURED_S, ENOUGH = 3.0, 10.0, 50
-"""A rate is measured over so long, or at most, and by so many samples."""
+"""A rate is measured over this time, or at most this, and by this number of samples."""
 
 
 class _Probing(Source):

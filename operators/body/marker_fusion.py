@@ -22,7 +22,7 @@ PARTS = tuple(
 )
 """Left and right markers of the arms, with the head's, and of the legs."""
 CLEARLY = 2.0
-"""Two ways agree on left and right if their markers are so many times nearer to each other than with these exchanged."""
+"""Two ways agree on left and right if their markers are this number of times nearer to each other than with these exchanged."""
 
 
 @dataclass(slots=True)

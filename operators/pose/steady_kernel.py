@@ -30,7 +30,7 @@ LEVEL_MOST = 0.7
 NECK_MOST, HEAD_MOST = 0.8, 1.2
 """How far the neck turns from the chest, and the head (rad): the limits of an adult's neck in any direction, rounded up."""
 HEAD_HZ, HEAD_BETA, AGREES_S = 1.5, 6.0, 0.1
-"""The head follows with this cut-off, and by so much faster (Hz per rad) the farther away its markers agree, for this long, that it is."""
+"""The head follows with this cut-off, and faster by this (Hz per rad) the farther away its markers agree, for this long, that it is."""
 MOST_RAD_S2 = 80.0
 """Limbs of people hardly ever turn faster or slower by more than this within a second: 1 % of the frames of motion capture at 30 Hz."""
 LEVEL, TURN, AWAY, KNOWN = 0, 1, 5, 8

@@ -114,13 +114,13 @@ class StrideManner(Operator[StrideMannerState]):
 
     hips: tuple[str, ...] = param((), help="two markers, the left and the right one, if the signal holds markers")
     turn_deg: float = param(
-        20.0, above=0.0, most=180.0, help="a stride that turns the body by so much is one of turning"
+        20.0, above=0.0, most=180.0, help="a stride that turns the body by this angle is one of turning"
     )
     shuffle_pct: float = param(
-        75.0, above=50.0, most=100.0, help="a foot that stands for so much of the stride shuffles"
+        75.0, above=50.0, most=100.0, help="a foot that stands for this share of the stride shuffles"
     )
     stop_ratio: float = param(
-        1.35, above=1.0, help="a stride that takes so many times the usual time is one of stopping"
+        1.35, above=1.0, help="a stride that takes this multiple of the usual time is one of stopping"
     )
 
     def open(self, specs: Specs) -> Specs:

@@ -23,11 +23,11 @@ WRONG = 0.03
 WRONG_BY_STAMPS = 0.01
 """The same where a sender stamps its samples by a clock: by more no clock is off."""
 WINDOW_NS, WINDOW_SAMPLES, WINDOWS = 8 * NS, 50, 6
-"""A rate is judged after so long and so many samples; where it is neither right nor wrong beyond jitter, after up to so many windows."""
+"""A rate is judged after this time and number of samples; where jitter leaves it open, after up to `WINDOWS` of them."""
 LEAP_NS, LEAP_PERIODS = 2 * NS, 10
 """A longer step, in both measures, is a leap."""
 STANDS_NS, STANDS_SAMPLES = NS, 20
-"""So many samples with one stamp, that should take so long, are a clock that stands still."""
+"""This number of samples with one stamp, that should take this long, are a clock that stands still."""
 REPEATED, ENOUGH = 0.2, 100
 """The share of samples of a window with the stamp of the one before that is a finding, and of how many."""
 ROWS, ROW_NS = 32, NS // 4
@@ -172,7 +172,7 @@ class ClaimGate:
             self.numbers["row_ns"] = 0
 
     def ran_backwards(self, samples: int, stamp: int) -> None:
-        """So many samples were out of order and left out, the first at `stamp`."""
+        """`samples` were out of order and left out, the first at `stamp`."""
         self._backwards = self._backwards[0] + samples, self._backwards[1] or stamp
 
     def is_ahead(self, ahead_ns: int, stamp: int) -> None:
@@ -254,7 +254,7 @@ NOISE_V, MOST_V = 2e-9, 500.0
 RANGE = 4.0
 """How many standard deviations some tens of samples range over."""
 STILL, SAMPLES = 0.1, 8
-"""A length of acceleration within this share of one value, over most of the time, is gravity. At least so many samples are judged."""
+"""A length of acceleration within this share of one value, over most of the time, is gravity. At least this number of samples is judged."""
 UNIT_LENGTH = 0.05
 
 
