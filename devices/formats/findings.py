@@ -38,9 +38,11 @@ class Findings:
             raise RecordingError(f"{file}: {finding.text}")
         self.claims.append(finding)
 
-    def of(self, made: Understood) -> None:
-        """Take over what was found in a file; a fact that another file tells otherwise is doubted."""
+    def of(self, made: Understood, policy: Claims) -> None:
+        """Take over what was found in a file; a fact that another file tells otherwise is doubted. Raises as `find` does."""
         self.kinds[made.path] = made.kind
+        for finding in made.claims:
+            self.find(made.path, finding, policy)
         self.doubts += [f"{made.path.name}: {doubt}" for doubt in made.doubts]
         for key, value in made.facts.items():
             if self.facts.setdefault(key, value) != value:

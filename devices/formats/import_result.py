@@ -12,6 +12,7 @@ import numpy as np
 
 from kinegraph.devices.formats.timing import check_order, grid_of, plain_unit, regular, resolution
 from kinegraph.stream.chunk import NS, Array, Samples, StreamSpec
+from kinegraph.stream.domain.finding import Finding
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.recording.series import Series
 
@@ -70,6 +71,7 @@ class Understood:
     begin   when time 0 was (ns UTC); None: the file does not say
     facts   about the session and the person, without names
     doubts  what was taken for granted, or contradicts itself, in words
+    claims  what the file claims, and does not hold
     """
 
     path: Path
@@ -77,12 +79,17 @@ class Understood:
     series: list[Series] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
     doubts: list[str] = field(default_factory=list)
+    claims: list[Finding] = field(default_factory=list)
     begin: int | None = None
 
     def doubt(self, words: str) -> None:
         """Note something doubtful, once."""
         if words not in self.doubts:
             self.doubts.append(words)
+
+    def find(self, claimed: str, seen: str, consequence: str = "", remedy: str = "") -> None:
+        """The file's header claims something that does not hold."""
+        self.claims.append(Finding("header", self.path.name, claimed, seen, consequence, remedy))
 
     def name(self, part: str) -> str:
         return f"{self.path.stem}.{part}"

@@ -22,6 +22,7 @@ KINDS = {
     "standstill": "stamps stand still",
     "unit": "values cannot be in the declared unit",
     "rotation": "quaternions are not of length 1",
+    "header": "a file's header contradicts what follows, or breaks its format's rules",
     "clock": "the device's time is not in the declared unit, or stands still",
 }
 """Every kind of finding, in words; docs/use/findings.md has the remedies."""
@@ -51,7 +52,7 @@ class Finding:
         """One sentence for people."""
         since = f" from {moment(self.since_ns)} on" if self.since_ns else ""
         what = f"claims {self.claimed}; seen: {self.seen}" if self.claimed else self.seen
-        return f"{self.stream!r} {what}{since}; {self.consequence}; {self.remedy}"
+        return "; ".join(filter(None, [f"{self.stream!r} {what}{since}", self.consequence, self.remedy]))
 
     def facts(self) -> dict[str, Any]:
         """JSON-like: as logs and recordings keep it. `what` is the kind: an entry of a log has a kind of its own."""

@@ -95,6 +95,7 @@ def test_no_false_claim_is_silent(case: dict[str, Any]) -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(1800)
 @settings(max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(claims)
 def test_no_false_claim_of_many_is_silent(case: dict[str, Any]) -> None:

@@ -108,14 +108,14 @@ def test_edf_in_latin_1_keeps_its_names_and_units() -> None:
     found, findings = read("latin1.edf")
     spec = found["signals"].spec
     assert spec.channels == ("Cânula", "Posição") and spec.units == ("uV", "°C")
-    assert "text is in Latin-1" in findings.doubts[0]
+    assert findings.claims[0].kind == "header" and "text is in Latin-1" in findings.claims[0].seen
     notes = read("latin1_note.edf")[0]
     assert len(notes["signals"].data) == 1200 and "ü" in str(notes["annotations"].data["text"][0])
 
 
 def test_edf_without_a_range_gives_raw_numbers_without_a_unit() -> None:
     found, findings = read("zero_range.edf")
-    assert found["signals"].spec.units == ("",) and "has no range" in findings.doubts[0]
+    assert found["signals"].spec.units == ("",) and "has no range" in findings.claims[0].seen
     assert (found["signals"].data == np.round(found["signals"].data)).all()
 
 
@@ -133,7 +133,7 @@ def test_numbers_of_an_edf_header_may_have_decimal_commas(tmp_path: Path) -> Non
     (tmp_path / "c.edf").write_bytes(whole.replace(b"-1000   ", b"-1000,0 "))
     found, findings = read(tmp_path / "c.edf")
     assert (found["signals"].data == read("latin1_note.edf")[0]["signals"].data).all()
-    assert "decimal commas" in "".join(findings.doubts)
+    assert "decimal commas" in "".join(finding.seen for finding in findings.claims)
 
 
 def _later(seconds: int) -> int:
@@ -152,7 +152,7 @@ def test_pauses_between_the_records_of_an_edf_file_are_gaps(kind: bytes, tmp_pat
     signals = found["signals"]
     assert signals.lost is not None and signals.lost[500] == 400 and len(signals.data) == 1200
     assert (signals.time[500] - signals.time[499]) / NS == pytest.approx(4.01)
-    assert ("declared continuous, but" in "".join(findings.doubts)) == (kind == b"EDF+C")
+    assert any("continuous" in finding.claimed for finding in findings.claims) == (kind == b"EDF+C")
 
 
 # XDF -----------------------------------------------------------------------------------------------------------------

@@ -366,7 +366,7 @@ def test_the_content_decides_and_not_the_name(tmp_path: Path) -> None:
         by_content = read(tmp_path / f"{Path(name).stem}.dat", text, untried=True)[0]
         assert by_content.keys() == read(tmp_path / name, text, untried=True)[0].keys()
     with pytest.raises(RecordingError, match=r"its content does not show what kind of file this is"):
-        read(tmp_path / "x.dat", "nothing\n")
+        read(tmp_path / "x.unknown", "nothing\n")
 
 
 @pytest.mark.parametrize("name", made.TEXTS)

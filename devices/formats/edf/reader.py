@@ -27,7 +27,9 @@ def knows(head: bytes) -> bool:
 def read_edf(path: Path, asked: Asked) -> Understood:
     """.signals (with several rates .signals_100hz, ...), .status of a BDF file, .annotations. Raises RecordingError with the reason."""
     file = read_layout(path)
-    made = Understood(path, file.kind, doubts=list(file.doubts))
+    made = Understood(path, file.kind)
+    for words in file.doubts:
+        made.find(f"to be {file.kind}", words, "it is read all the same", "compare it with the program that wrote it")
     begun = _begun(file, made)
     if begun is not None:
         made.local_time(begun)
@@ -67,9 +69,10 @@ def _pauses(file: EdfFile, made: Understood) -> Array | None:
     longest = float(pauses.max()) / NS
     count = int((pauses > 0).sum())
     if file.is_declared_continuous:
-        made.doubt(
-            f"it is declared continuous, but the times of its records leave {count} pauses (up to {longest:g} s): they are kept"
-        )
+        made.find(
+            "continuous records", f"times of records that leave {count} pauses (up to {longest:g} s)", "they are gaps",
+            "the program that wrote it should call it discontinuous",
+        )  # fmt: skip
     return np.concatenate([[0], pauses])
 
 

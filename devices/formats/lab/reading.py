@@ -50,7 +50,7 @@ def _understood(file: Path, read: Grammar, options: ImportOptions) -> Understood
 
 def _placed(made: Understood, options: ImportOptions) -> list[Series]:
     """The series at their time: as somebody says, as the file does, or from 1970 on; what was found is noted."""
-    options.findings.of(made)
+    options.findings.of(made, options.claims)
     begin = options.begin if options.begin is not None else made.begin or 0
     for one in made.series:
         one.time = one.time + begin
