@@ -100,10 +100,10 @@ def _slope(depth: Samples, valid: Mask) -> tuple[float, float]:
         return float(counts @ np.convolve(counts, NEARNESS, mode="same"))
 
     tried = [(np.tan(tilt) / FOCAL, roll / np.cos(tilt) / FOCAL) for tilt in TILTS for roll in ROLLS]
-    best = max(tried, key=lambda slope: sharpness(*slope, LEVEL_SHARE))
+    best = max(tried, key=lambda slope: sharpness(slope[0], slope[1], LEVEL_SHARE))
     for step in (0.06, 0.015):
         tried = [(best[0] + step * (1 + best[0] ** 2) * a, best[1] + step * b) for a in FINER for b in FINER]
-        best = max(tried, key=lambda slope: sharpness(*slope, LEVEL_SHARE / 2))
+        best = max(tried, key=lambda slope: sharpness(slope[0], slope[1], LEVEL_SHARE / 2))
     return best
 
 

@@ -130,6 +130,6 @@ def _agreed(first: Samples, second: Samples) -> NDArray[np.bool_]:
             if np.isfinite(first[pair]).all() and np.isfinite(second[pair]).all():
                 straight += float(np.linalg.norm(first[pair] - second[pair], axis=1).sum())
                 crossed += float(np.linalg.norm(first[pair] - second[twin], axis=1).sum())
-        for pair in part:
-            agreed[list(pair)] = crossed > CLEARLY * straight
+        for both in part:
+            agreed[list(both)] = crossed > CLEARLY * straight
     return agreed

@@ -123,9 +123,7 @@ class MarkerContacts(Contacts[MarkerState]):
         counts = follow(
             time,
             place,
-            s.period_ns,
-            s.fill_ns,
-            s.delay_ns,
+            (s.period_ns, s.fill_ns, s.delay_ns),
             s.alone,
             s.sos,
             s.steady,

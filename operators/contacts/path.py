@@ -150,9 +150,7 @@ def advance(
 def follow(
     time: Times,
     place: Samples,
-    period_ns: int,
-    fill_ns: int,
-    delay_ns: int,
+    spans_ns: tuple[int, int, int],
     alone: bool,
     sos: Samples,
     steady: Samples,
@@ -162,10 +160,12 @@ def follow(
     motion: Array,
     found: Times,
 ) -> tuple[int, int]:
-    """Follow foot and body, `place` (n, 6) m with the vertical third; what is missing is filled on a straight line up to `fill_ns`.
+    """Follow foot and body, `place` (n, 6) m with the vertical third; what is missing is filled on a straight line.
 
+    spans_ns         time between samples; how long a gap is filled at most; the filter's delay
     found  (2, 2 n + 2, 2)  touch-downs and lift-offs: stamp, onset. Returns how many of each.
     """
+    period_ns, fill_ns, delay_ns = spans_ns
     legs, walk = memory[0], motion[0]
     downs = ups = 0
     ends = np.empty(6)

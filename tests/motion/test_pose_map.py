@@ -264,7 +264,7 @@ def test_stretches_are_warped_as_a_plain_search_does(step: int) -> None:
     begins, ends = np.array([0, 30, 100, 132, 200]), np.array([60, 91, 160, 200, 230])
     query, room, out = np.ascontiguousarray(rows[150:180:step]), 80, np.empty((5, 3))
     warp_all(
-        poses, columns, 0.01, step, begins, ends, query, weights, np.empty((5, room)), np.empty(room), np.empty((3, room)),
+        poses, columns, 0.01, step, begins, ends, query, weights, np.empty((5, room)), np.empty((4, room)),
         np.empty((3, room), np.int64), out,
     )  # fmt: skip
     for begin, end, found in zip(begins, ends, out, strict=True):

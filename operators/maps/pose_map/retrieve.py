@@ -97,10 +97,10 @@ class PoseSearch:
         places = self.regions(first, last, band)
         begins, ends = (np.array([place[k] for place in places], np.int64) for k in (1, 2))
         room = -(-2 * length // step) + 2 * LONGEST
-        out, cost, start = np.empty((len(places), 3)), np.empty((3, room)), np.empty((3, room), np.int64)
+        out, cost, start = np.empty((len(places), 3)), np.empty((4, room)), np.empty((3, room), np.int64)
         warp_all(
             self.motion.poses, self.columns, self.motion.step, step, begins, ends, query, weights,
-            np.empty((len(weights), room)), np.empty(room), cost, start, out,
+            np.empty((len(weights), room)), cost, start, out,
         )  # fmt: skip
         found = [
             (float(apart), place[0], place[1] + step * int(a), place[1] + step * int(b))

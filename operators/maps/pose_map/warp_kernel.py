@@ -12,12 +12,12 @@ from kinegraph.stream.kernel import kernel
 @kernel
 def warp_all(
     poses: Array, columns: Times, unit: float, stride: int, begins: Times, ends: Times, query: Samples, weights: Samples,
-    there: Samples, apart: Samples, cost: Samples, start: Times, out: Samples,
+    there: Samples, cost: Samples, start: Times, out: Samples,
 ) -> None:  # fmt: skip
     """Find `query` (l, w) in each region `begins[r]` to `ends[r] - 1` of an index, every `stride`-th frame: `out` (r, 3) as of `warp`.
 
     poses, columns, unit  as in MotionIndex: the numbers that count, in steps of `unit`
-    there (w, n), apart (n,), cost (3, n), start (3, n)   room for the longest region
+    there (w, n), cost (4, n), start (3, n)   room for the longest region
     """
     for r in range(begins.shape[0]):
         n = min((ends[r] - begins[r] + stride - 1) // stride, there.shape[1])
@@ -26,22 +26,20 @@ def warp_all(
             for c in range(columns.shape[0]):
                 found = poses[frame, columns[c]]
                 there[c, j] = math.nan if found == MISSING else found * unit
-        warp(query, there, n, weights, apart, cost, start, out[r])
+        warp(query, there, n, weights, cost, start, out[r])
 
 
 @kernel
-def warp(
-    query: Samples, there: Samples, n: int, weights: Samples, apart: Samples, cost: Samples, start: Times, out: Samples
-) -> None:
+def warp(query: Samples, there: Samples, n: int, weights: Samples, cost: Samples, start: Times, out: Samples) -> None:
     """Find `query` (l, w) in the first `n` columns of `there` (w, n): out = [first, last, distance], the best first and last column.
 
     Steps are (1, 1), (1, 2) and (2, 1), so the match is half to twice as long as the query. The distance is the root of the mean, over the
     query's frames, of the weighted squared distances along the path; infinite where no path fits or all contain a NaN.
 
-    apart (n,), cost (3, n), start (3, n)   room: squared distances of one frame of the query; of the three newest the least sum so far,
-                                            and where its path begins
+    cost (4, n), start (3, n)   room: of the three newest frames of the query the least sum so far, and where its path begins; the last
+                                row of `cost` holds the squared distances of one frame
     """
-    length = query.shape[0]
+    length, apart = query.shape[0], cost[3]
     for i in range(length):
         now, one, two = i % 3, (i - 1) % 3, (i - 2) % 3
         distances_to(query[i], there, n, weights, apart)
