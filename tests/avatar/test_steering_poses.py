@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +31,12 @@ NAMES, AT = tuple(marked()), np.array(list(marked().values()))
 FACES = topology().faces
 STRIDE = np.array([walking(k / 24) for k in range(24)])
 REFERENCE = ("withers", "croup")
-LAYOUT = Layout.of(STRIDE, FACES, AT, 8)
 DIAGONAL = float(np.linalg.norm(np.ptp(STRIDE[0], axis=0)))
+
+
+@cache
+def layout() -> Layout:
+    return Layout.of(STRIDE, FACES, AT, 8)
 
 
 WIDE = np.arange(24) / 8
@@ -55,7 +60,7 @@ def trained(
     pose: PoseKind, regression: Regression = "kernel", skeleton: bool = False, limbs: tuple[str, ...] = ()
 ) -> Steering:
     how = regression_of(STRIDE, FACES, marked(), REFERENCE, limbs, (), pose, regression, skeleton)
-    return fit_steering(STRIDE, FACES, marked(), REFERENCE, limbs, 8, 2, layout=LAYOUT, how=how)
+    return fit_steering(STRIDE, FACES, marked(), REFERENCE, limbs, 8, 2, layout=layout(), how=how)
 
 
 def arm(turn: float, bend: float) -> Samples:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +33,19 @@ NAMES, AT = tuple(marked()), np.array(list(marked().values()))
 FACES = topology().faces
 STRIDE = np.array([walking(k / 24) for k in range(24)])
 REFERENCE = ("withers", "croup")
-LAYOUT = Layout.of(STRIDE, FACES, AT, 8)
 DIAGONAL = float(np.linalg.norm(np.ptp(STRIDE[0], axis=0)))
+
+
+@cache
+def layout() -> Layout:
+    return Layout.of(STRIDE, FACES, AT, 8)
+
+
 SOFT = SoftShapes(0.01, 3.0)
 
 
 def trained(how: PoseRegression, limbs: tuple[str, ...] = LIMBS, frames: Samples = STRIDE) -> Steering:
-    return fit_steering(frames, FACES, marked(), REFERENCE, limbs, 8, 3, layout=LAYOUT, how=how)
+    return fit_steering(frames, FACES, marked(), REFERENCE, limbs, 8, 3, layout=layout(), how=how)
 
 
 BAR = np.array([(31 * r + c, 31 * r + c + 1, 31 * r + c + 31) for r in range(2) for c in range(30)])

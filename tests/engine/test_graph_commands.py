@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -91,16 +92,22 @@ def test_draw_mermaid_and_dot(good: Path, capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().out.startswith(r'digraph "the \"big\" walk" {')
 
 
-SCHEMA = graph_schema(catalogue(("graph_parts", "stream.manual", "operators", "devices"))[0])
-VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
+@cache
+def the_schema() -> dict[str, Any]:
+    return graph_schema(catalogue(("graph_parts", "stream.manual", "operators", "devices"))[0])
+
+
+@cache
+def validator() -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(the_schema())
 
 
 def faults(text: str) -> list[Any]:
-    return list(VALIDATOR.iter_errors(parse(text, "graph").plain()))
+    return list(validator().iter_errors(parse(text, "graph").plain()))
 
 
 def test_the_schema_is_one() -> None:
-    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    jsonschema.Draft202012Validator.check_schema(the_schema())
 
 
 @pytest.mark.parametrize(
@@ -157,16 +164,16 @@ def test_most_bad_graphs_are_for_the_schema() -> None:
 
 
 def test_the_schema_tells_an_editor_what_a_parameter_is() -> None:
-    low = SCHEMA["$defs"]["graph_parts.Low"]
+    low = the_schema()["$defs"]["graph_parts.Low"]
     assert low["properties"]["cutoff_hz"] == {
         "default": 20.0, "exclusiveMinimum": 0.0, "type": "number", "description": "where it cuts (Hz)",
     }  # fmt: skip
     assert low["properties"]["kind"]["enum"] == ["low", "high"]
     assert low["required"] == ["use", "from"] and low["description"] == "A filter in name only: it checks like one."
-    board = SCHEMA["$defs"]["graph_parts.Board"]["properties"]
+    board = the_schema()["$defs"]["graph_parts.Board"]["properties"]
     assert board["rate_hz"]["description"] == "samples per second (Hz)", "a line of the docstring will do"
     assert board["queue"]["minimum"] == 1 and "from" not in board and "worker" not in board
-    offered = SCHEMA["$defs"]["node"]["properties"]["use"]["anyOf"][0]["enum"]
+    offered = the_schema()["$defs"]["node"]["properties"]["use"]["anyOf"][0]["enum"]
     assert "graph_parts.Low" in offered and "stream.manual.Value" in offered
 
 
