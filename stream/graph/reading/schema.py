@@ -53,6 +53,8 @@ def graph_schema(parts: dict[str, Part]) -> Json:
     definitions: Json = {path: _node(path, part) for path, part in parts.items()}
     for path in list(definitions):
         definitions.update(_lift(definitions[path], path))
+    page = _page()
+    definitions.update(_lift(page["properties"]["panels"]["items"], "page"))
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A kinegraph graph",
@@ -72,7 +74,7 @@ def graph_schema(parts: dict[str, Part]) -> Json:
                     {"type": "null"},
                 ],
             },
-            "page": _page(),
+            "page": page,
             "nodes": {
                 "type": "object",
                 "minProperties": 1,
