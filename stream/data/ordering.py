@@ -43,7 +43,7 @@ def median(values: Samples, count: int) -> float:
     upper = select(values, count, half)
     if count % 2:
         return upper
-    lower = values[0]
+    lower: float = values[0]
     for i in range(1, half):
         lower = max(lower, values[i])
     return (lower + upper) / 2.0
