@@ -36,7 +36,8 @@ def _words(recording: Recording, items: list[Mapping[str, Any]]) -> Iterator[str
         text = shown(item, time, data)
         if text:
             unit = item.get("unit") or (micro(stream.spec.unit_of(item["field"])) if item.get("field") else "")
-            yield " ".join(filter(None, [text, str(unit), str(item.get("label", ""))]))
+            label = str(item.get("label", ""))
+            yield " ".join(filter(None, [text, str(unit), label] if text[-1].isdigit() else [label, text]))
 
 
 def shown(item: Mapping[str, Any], time: Times, data: Array) -> str:

@@ -56,7 +56,7 @@ function Running({ state, path, lost, ask }: { state: State; path: string; lost:
               <button type="submit">Mark</button>
             </form>
             {groups.map(([title, group]) => group.length ? (
-              <details key={title} class="menu"><summary>{title}</summary><div>{group.map((word) => <Word key={word} word={word} mark={mark} />)}</div></details>
+              <details key={title} class="menu"><summary>{title}</summary><div onClick={(e) => { if (e.target instanceof HTMLButtonElement) e.currentTarget.closest("details")?.removeAttribute("open"); }}>{group.map((word) => <Word key={word} word={word} mark={mark} />)}</div></details>
             ) : null)}
             {ending ? (
               <span class="sure"><button type="button" class="danger" onClick={() => { setStopping(true); setEnding(false); void act("stop"); }}>End the session</button><button type="button" onClick={() => setEnding(false)}>Go on</button></span>
