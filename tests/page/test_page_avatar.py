@@ -147,6 +147,19 @@ def test_an_avatar_stands_as_the_pose_says(own: bool, recorded: Path, browser: L
                 urlopen(process.at(path), timeout=10)
 
 
+@needs_browser
+def test_the_avatar_stands_alone_on_a_transparent_page(recorded: Path, browser: LiveBrowser, tmp_path: Path) -> None:
+    """The address ends with #avatar: for OBS, which lays the page over a picture."""
+    with page_process(tmp_path, "view", recorded) as process:
+        browser.open(f"{process.url}#avatar", 800, 600)
+        browser.wait("document.querySelector('.avatar')?.dataset.bones")
+        shown = "[...document.querySelectorAll('header, footer, .panel')].filter((e) => e.offsetParent).map((e) => e.className)"
+        assert browser.value(f"{shown}.filter((name) => !name.includes('avatar')).length") == 0
+        assert browser.value("getComputedStyle(document.body).backgroundColor") == "rgba(0, 0, 0, 0)"
+        assert browser.value("+document.querySelector('.avatar canvas').clientHeight > 550")
+        assert browser.complaints == []
+
+
 def test_the_mannequin_is_what_its_code_makes(tmp_path: Path) -> None:
     mannequin.write(tmp_path / "made.vrm")
     shipped, made = AVATAR.read_bytes(), (tmp_path / "made.vrm").read_bytes()

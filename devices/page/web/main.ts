@@ -41,6 +41,8 @@ const ENGINE = new Set(["state", "graph", "log"]);
 const TEXTS = new Set(["state", "log", "graph", "answer"]);
 /** Within the lab, which has the session's name and its controls. */
 const EMBEDDED = window.parent !== window;
+/** The avatar alone, on a transparent background: for OBS and other programs that lay it over a picture. */
+const ALONE = "#avatar";
 const SLOW_DRAW_MS = 250;
 /** A machine that draws slowly rests for as long as it drew. */
 const BREATH = 2;
@@ -91,6 +93,7 @@ class Main implements Page {
 
   constructor() {
     document.body.classList.toggle("embedded", EMBEDDED);
+    document.body.classList.toggle("alone", location.hash === ALONE);
     const dark = matchMedia("(prefers-color-scheme: dark)");
     this.theme(localStorage.getItem("theme") ?? (dark.matches ? "dark" : "light"));
     dark.onchange = () => { if (!localStorage.getItem("theme")) this.theme(dark.matches ? "dark" : "light"); };

@@ -2,7 +2,7 @@
 
 import {
   AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, GridHelper, LineBasicMaterial, LineSegments, type Material, Mesh,
-  MeshStandardMaterial, type Object3D, PerspectiveCamera, Points, PointsMaterial, Scene, Vector3, WebGLRenderer,
+  MeshStandardMaterial, type Object3D, PerspectiveCamera, Points, PointsMaterial, Scene, Sphere, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
@@ -59,6 +59,7 @@ class Drawn implements Figure {
       this.parts.push(new LineSegments(this.lines, this.coloured(new LineBasicMaterial(), () => colour("dim"))));
     }
     for (const part of this.parts) part.frustumCulled = false;
+    for (const geometry of [this.geometry, this.lines]) geometry.boundingSphere = new Sphere(); // of points that are missing none can be found
     const names = info.kind === "mesh" || !alone ? [] : info.channels.slice(0, MOST_NAMES);
     this.labels = names.map((name) => make("span", { class: "name", hidden: "" }, name));
   }
@@ -224,6 +225,7 @@ export class ScenePanel extends Panel {
     if (this.grid) this.scene.remove(this.grid);
     this.grid = new GridHelper(radius * 4, 8, colour("dim"), colour("rule"));
     this.grid.position.copy(centre);
+    this.grid.visible = !document.body.classList.contains("alone");
     if (zUp) {
       this.grid.rotation.x = Math.PI / 2;
       this.grid.position.z -= radius;
