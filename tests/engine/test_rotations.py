@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kinegraph.operators import Decimate, Lowpass, MovingMean, OneEuro, Resample, Select
-from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec, grid
 from kinegraph.stream.domain.rotation import RotationSigns, rotations, with_rotations
-from kinegraph.stream.errors import InputError
+from kinegraph.stream.engine.session import Session
+from kinegraph.stream.errors import GraphError, InputError
+from kinegraph.stream.graph.reading.load import load_text
+from kinegraph.stream.recording import Recording
+from kinegraph.stream.source import Feed, Source
 
 QUATERNION = StreamSpec((4,), rate_hz=100.0, channels=("qw", "qx", "qy", "qz"))
 
@@ -72,3 +79,27 @@ def test_signs_become_continuous_however_samples_are_cut(seed: int, cuts: list[i
 def test_continuous_signs_are_left_as_they_are() -> None:
     data = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))
     assert RotationSigns((0,)).of(data) is data
+
+
+@dataclass(frozen=True, slots=True)
+class Flipping(Source):
+    """A rotation that hardly turns, with a sign that changes from sample to sample."""
+
+    def specs(self) -> Specs:
+        return {"out": QUATERNION}
+
+    def read(self, feed: Feed) -> None:
+        data = np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)) * np.where(np.arange(200) % 2, -1.0, 1.0)[:, None]
+        time = grid(100.0, 200, feed.now() - 2 * NS)
+        for start in range(0, 200, 7):
+            part = time[start : start + 7]
+            feed.emit(Chunk(part, data[start : start + 7], int(part[-1])))
+
+
+def test_a_live_stream_enters_with_continuous_signs_and_check_refuses_to_filter_it(tmp_path: Path) -> None:
+    source = f"nodes:\n  q: {{use: {__name__}.Flipping}}\n"
+    assert Session(load_text(source), tmp_path / "s").run().error is None
+    with Recording.open(tmp_path / "s") as recording:
+        assert (recording.read("q")[1][:, 0] == 1.0).all()
+    with pytest.raises(GraphError, match="are a rotation"):
+        load_text(source + "  smooth: {use: operators.filters.one_euro.OneEuro, from: q}\n")
