@@ -54,7 +54,9 @@ def nights(
     ] = None,
     months: Annotated[bool, typer.Option("--months", help="weeks: by months")] = False,
     free: Annotated[str, typer.Option(help="mornings without work")] = "sat,sun",
-    output: Annotated[Path | None, typer.Option("-o", "--out", help="weeks: the folder; export: the file")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--out", help="weeks: the folder; export: the file; report: one page as PDF")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """List the nights on this computer, with their trends.
@@ -81,10 +83,10 @@ def nights(
             output,
         )
     else:
-        _of_single(action, path, names or [], yes)
+        _of_single(action, path, names or [], yes, output)
 
 
-def _of_single(action: Action, path: Path, names: list[str], yes: bool) -> None:
+def _of_single(action: Action, path: Path, names: list[str], yes: bool, output: Path | None) -> None:
     """Report or delete."""
     from kinegraph.devices.reports.night import archive
 
@@ -94,6 +96,9 @@ def _of_single(action: Action, path: Path, names: list[str], yes: bool) -> None:
     if action is Action.report:
         from kinegraph.devices.reports.night.page import draw
 
+        if output is not None:
+            _one_page(folders, output)
+            return
         failed = []
         for folder in folders:
             try:
@@ -116,6 +121,18 @@ def _of_single(action: Action, path: Path, names: list[str], yes: bool) -> None:
         if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
             archive.remove(folder)
             say(f"deleted {folder}")
+
+
+def _one_page(folders: list[Path], output: Path) -> None:
+    """A night as a page to hand over."""
+    from kinegraph.devices.reports.night.page import one_page
+    from kinegraph.stream.system.atomic_file import private_folder, write_complete
+
+    if len(folders) != 1 or output.suffix != ".pdf":
+        raise KinegraphError("-o takes one night and a name that ends in .pdf")
+    private_folder(output.absolute().parent)
+    write_complete(output, one_page(folders[0]))
+    say(output)
 
 
 def _over_weeks(

@@ -203,3 +203,12 @@ def test_a_sentence_for_whoever_slept_stands_on_top(tmp_path: Path) -> None:
 def test_the_page_of_a_single_night_is_drawn(tmp_path: Path) -> None:
     logged(tmp_path, "2026-11-02T23:05", "ssss")
     assert "1 night," in weeks_page.page(weeks.rows(tmp_path), weeks.FREE, [], [], months=True)
+
+
+def test_a_night_is_handed_over_as_one_page(kinegraph: Command, tmp_path: Path) -> None:
+    logged(tmp_path, "2026-11-02T23:05", "wsssw")
+    code, out, _ = kinegraph("sleep", "nights", "report", "last", "--path", tmp_path, "-o", tmp_path / "night.pdf")
+    content = (tmp_path / "night.pdf").read_bytes()
+    assert code == 0 and "night.pdf" in out
+    assert content.startswith(b"%PDF-") and content.count(b"/Type /Page\n") + content.count(b"/Type /Page ") == 1
+    refused(kinegraph("sleep", "nights", "report", "last", "--path", tmp_path, "-o", "x.png"), "ends in .pdf")

@@ -60,6 +60,7 @@ def page_png(
     seen: list[tuple[str, str]],
     title: str,
     line: str,
+    form: str = "png",
 ) -> bytes:
     """One A4 page: the pictures, the table, and the words that belong to it."""
     with rc_context(STYLE):
@@ -76,7 +77,7 @@ def page_png(
         _beside(figure, seen, 0.305 if motion is not None else 0.475)
         figure.text(0.07, 0.03, "\n".join(CAVEATS), fontsize=7, color="#44423d", va="bottom", linespacing=1.5)
         file = io.BytesIO()
-        figure.savefig(file, format="png", dpi=150, metadata={"Software": "kinegraph"})
+        figure.savefig(file, format=form, dpi=150, metadata={"Creator" if form == "pdf" else "Software": "kinegraph"})
         return file.getvalue()
 
 
@@ -198,12 +199,13 @@ def _table(figure: Figure, rows: list[ReportRow], top: float, nothing: str) -> N
     y = top - 0.026
     if not rows:
         figure.text(0.07, y, nothing, fontsize=8, va="top")
+    step = min(0.0305, (y - 0.1) / max(1, len(rows)))
     for row in rows:
         figure.text(0.07, y, row.name, fontsize=8, va="top")
         figure.text(0.405, y, row.value, fontsize=8, va="top", weight="bold", ha="right")
         figure.text(0.42, y, f"({row.bounds})" if row.bounds else "", fontsize=7, va="top", color="#55534e")
         figure.text(0.07, y - 0.0125, row.meaning, fontsize=6.5, va="top", color="#6a6862")
-        y -= 0.0305
+        y -= step
 
 
 def _beside(figure: Figure, seen: list[tuple[str, str]], top: float) -> None:

@@ -136,7 +136,8 @@ def _published(numbers: Mapping[str, Any]) -> list[ReportRow]:
         return []
     low, high = found
     se = f"{100 * low / numbers['tib']:.0f} – {100 * high / numbers['tib']:.0f} % of the time in bed"
-    return [ReportRow("TST within published error", f"{in_hours(low)} – {in_hours(high)}", se, KNOWN_ERROR)]
+    what = "where TST would be if this scorer erred as six published ones did"
+    return [ReportRow("TST, published error", f"{low / 60:.1f} – {high / 60:.1f} h", se, what)]
 
 
 def _breath(epochs: LoggedEpochs) -> list[ReportRow]:
@@ -158,7 +159,7 @@ def _breath(epochs: LoggedEpochs) -> list[ReportRow]:
     return made
 
 
-PAUSES = "of the time in which it is known how far the chest moves; no diagnosis: effort under a thick blanket may not be seen"
+PAUSES = "no diagnosis: effort under a thick blanket may not be seen"
 WASO = {
     "AASM": "all wake from the first epoch of sleep to the end of the time in bed",
     "ActiLife": "all wake from the first epoch of sleep to the end of the time in bed",

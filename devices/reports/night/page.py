@@ -14,7 +14,16 @@ from typing import TypeVar
 from kinegraph.devices.reports.night import archive
 from kinegraph.devices.reports.night.archive import Facts, LoggedEpochs, clock, night_zone, zone_of
 from kinegraph.devices.reports.night.edf import write_edf
-from kinegraph.devices.reports.night.numbers import CAVEATS, NO_NUMBERS, ReportRow, begun_after, quality, span, table
+from kinegraph.devices.reports.night.numbers import (
+    CAVEATS,
+    KNOWN_ERROR,
+    NO_NUMBERS,
+    ReportRow,
+    begun_after,
+    quality,
+    span,
+    table,
+)
 from kinegraph.devices.reports.night.summary import headline, sentence, wakings
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.errors import KinegraphError
@@ -80,6 +89,7 @@ def render(
         quality=quality(facts, epochs),
         wakings=wakings(facts, epochs),
         caveats=CAVEATS,
+        known_error=KNOWN_ERROR,
         no_numbers=NO_NUMBERS[facts.closed],
         method=_method(facts),
         **_figures(facts, epochs, motion, {} if failed is None else failed),
@@ -148,6 +158,17 @@ def _picture(facts: Facts, epochs: LoggedEpochs, motion: Samples | None, rows: l
     from kinegraph.devices.reports.night import figures
 
     return figures.page_png(facts, epochs, motion, rows, quality(facts, epochs), title(facts), line(facts, epochs))
+
+
+def one_page(folder: Path) -> bytes:
+    """The night on one page, as PDF. Raises NightError."""
+    from kinegraph.devices.reports.night import figures
+
+    facts, epochs = archive.Facts.load(folder), archive.read_epochs(folder)
+    rows, seen = table(facts, epochs), quality(facts, epochs)
+    return figures.page_png(
+        facts, epochs, archive.read_map(folder), rows, seen, title(facts), line(facts, epochs), "pdf"
+    )
 
 
 def main() -> None:
