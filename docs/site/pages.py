@@ -109,19 +109,19 @@ def is_simulated(use: str) -> bool:
 def _parts(title: str, parts: dict[str, Any]) -> str:
     """A table of components, then each with its ports, its docstring and its parameters."""
     rows = ["| component | outputs | what it does |", "|---|---|---|"]
-    told = []
+    blocks = []
     for use, part in parts.items():
         name = use.rpartition(".")[2]
         first = (inspect.getdoc(part) or "").partition("\n\n")[0].replace("\n", " ")
         rows.append(f"| [{name}](#{use.lower().replace('.', '')}) | {', '.join(part.outputs)} | {_cell(first)} |")
-        told.append(f"## {use}\n\n{_ports(part)}{paragraphs(inspect.getdoc(part) or '')}\n\n{_parameters(part)}")
+        blocks.append(f"## {use}\n\n{_ports(part)}{paragraphs(inspect.getdoc(part) or '')}\n\n{_parameters(part)}")
     return "\n".join(
         [
             f"# {title.capitalize()}\n",
             f"{len(parts)} {title}, as `kinegraph components` lists them.\n",
             *rows,
             "",
-            *told,
+            *blocks,
         ]
     )
 
@@ -215,7 +215,7 @@ def _commands() -> str:
     from kinegraph.stream.cli import registry
 
     os.environ["COLUMNS"] = "110"
-    told = ["# Commands\n", f"```text\n{registry.overview()}\n```\n"]
+    blocks = ["# Commands\n", f"```text\n{registry.overview()}\n```\n"]
     for name in registry.names():
         command = registry.function_of(name)
         under = [c.name for c in command.registered_commands] if isinstance(command, typer.Typer) else []
@@ -223,10 +223,10 @@ def _commands() -> str:
             text = io.StringIO()
             with redirect_stdout(text), suppress(SystemExit):
                 cli.call(name, [*words[1:], "--help"])
-            told.append(
+            blocks.append(
                 f"{'##' if len(words) == 1 else '###'} kinegraph {' '.join(words)}\n\n```text\n{text.getvalue().strip()}\n```\n"
             )
-    return "\n".join(told)
+    return "\n".join(blocks)
 
 
 def _notebook(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""The pose network without the outputs that nobody reads: the others keep every bit, and what is no such network is refused."""
+"""The pose network without the outputs that are not read: the others keep every bit, and what is no such network is refused."""
 
 from __future__ import annotations
 

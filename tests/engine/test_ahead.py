@@ -1,4 +1,4 @@
-"""Nobody waits longer than for the compiler: kernels are kept one by one, compiled side by side, and counted."""
+"""No session waits longer than for the compiler: kernels are kept one by one, compiled side by side, and counted."""
 
 from __future__ import annotations
 
@@ -234,19 +234,19 @@ def test_processes_are_started_only_where_they_save_time(monkeypatch: pytest.Mon
 
 def test_short_compilations_are_not_reported_and_long_ones_begin_and_end(monkeypatch: pytest.MonkeyPatch) -> None:
     counted(monkeypatch, [10])
-    told: list[tuple[str, bool]] = []
-    state = ahead.Compiling([Lowpass], lambda text, over: told.append((text, over)))
+    reported: list[tuple[str, bool]] = []
+    state = ahead.Compiling([Lowpass], lambda text, over: reported.append((text, over)))
     state.start()
     state.stop()
-    assert told == []
+    assert reported == []
     monkeypatch.setattr(ahead, "QUIET_S", 0.0)
     begun = threading.Event()
-    state = ahead.Compiling([Lowpass], lambda text, over: (told.append((text, over)), begun.set())[0])
+    state = ahead.Compiling([Lowpass], lambda text, over: (reported.append((text, over)), begun.set())[0])
     state.start()
     assert begun.wait(30)
     state.stop()
-    assert told[0] == ("compiling kernel 1 of 1, a few seconds left", False)
-    assert told[-1][1] and told[-1][0].startswith("compiled 1 kernel")
+    assert reported[0] == ("compiling kernel 1 of 1, a few seconds left", False)
+    assert reported[-1][1] and reported[-1][0].startswith("compiled 1 kernel")
 
 
 def test_without_a_terminal_the_first_and_the_last_report_are_printed() -> None:
@@ -273,9 +273,9 @@ def test_dev_compile_compiles_what_a_session_would(kinegraph: Command, empty: Pa
         "  rect: {use: operators.filters.rectify.Rectify, from: board.emg}\n"
     )
     code, out, _ = kinegraph("dev", "compile", graph, "--json")
-    told = json.loads(out)
-    assert code == 0 and told["compiled"] == told["kept"] == cache.kept_count()
+    reported = json.loads(out)
+    assert code == 0 and reported["compiled"] == reported["kept"] == cache.kept_count()
     assert json.loads(kinegraph("dev", "compile", graph, "--json")[1])["compiled"] == 0
     code, _, _ = kinegraph("run", graph, "--view", "none")
-    assert code == 0 and cache.kept_count() == told["kept"]
+    assert code == 0 and cache.kept_count() == reported["kept"]
     assert "compiled 0 kernels" in kinegraph("dev", "compile", graph)[1]
