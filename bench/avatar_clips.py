@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.body import FAR_CM, SHOWN, Chain, longest
+from bench.body import FAR_CM, SHOWN, Chain, exchanged, longest
 from bench.body_render import Clip, Studio, about_y, studio, truth_of
 from kinegraph.operators.body.marker_fusion import Surer
-from kinegraph.operators.body.names import MARKERS, markers_specs
+from kinegraph.operators.body.names import markers_specs
 from kinegraph.operators.filters.one_euro import OneEuro
 from kinegraph.operators.filters.predict import Predict
 from kinegraph.operators.pose.operator import WholePose
@@ -43,11 +43,6 @@ LEFT_OUT = (
     ("female", "13_29", 600, 0), ("female", "14_14", 300, 30), ("female", "01_05", 300, 0), ("female", "02_01", 0, 180),
     ("female", "13_29", 200, -30), ("female", "01_08", 200, 90), ("female", "14_14", 700, 0), ("female", "01_13", 300, 20),
 )  # fmt: skip
-PARTS = {
-    "arms": ("shoulder", "elbow", "wrist"),
-    "legs": ("knee", "ankle"),
-    "hips": ("hip",),
-}
 LIMBS = tuple((f"{s}{a}", f"{s}{b}") for s in ("Left", "Right") for a, b in (
     ("UpperArm", "LowerArm"), ("LowerArm", "Hand"), ("UpperLeg", "LowerLeg"), ("LowerLeg", "Foot")))  # fmt: skip
 TRUE_LIMBS = tuple((i, i + 2) for side in range(2) for i in (1 + side, 3 + side, 7 + side, 9 + side))
@@ -147,22 +142,6 @@ def posed(markers: Samples, *, model: Path | None = None) -> tuple[Samples, Samp
     return out["joints"].data, turns
 
 
-def exchanged(markers: Samples, truth: Samples) -> dict[str, Samples]:
-    """By part: the frames (n,) in which its left and right exchanged are nearer to the truth by 5 cm; what is missing does not count."""
-    names, found = [MARKERS[k] for k in SHOWN], {}
-    for part, joints in PARTS.items():
-        left = [names.index(f"left_{j}") for j in joints]
-        right = [names.index(f"right_{j}") for j in joints]
-        both = left + right
-        there = np.isfinite(markers[:, both]).all(axis=2)
-        as_is = np.linalg.norm(markers[:, both] - truth[:, both], axis=2)
-        other = np.linalg.norm(markers[:, both] - truth[:, right + left], axis=2)
-        count = np.maximum(there.sum(axis=1), 1)
-        mean = [np.where(there, d, 0.0).sum(axis=1) / count for d in (as_is, other)]
-        found[part] = mean[1] + 0.05 < mean[0]
-    return found
-
-
 def directions(joints: Samples, limbs: Iterable[tuple[int, int]]) -> Samples:
     v = np.stack([joints[:, b] - joints[:, a] for a, b in limbs], axis=1)
     return np.asarray(v / np.linalg.norm(v, axis=2, keepdims=True))
@@ -194,6 +173,7 @@ def judged(markers: Samples, all_of_them: tuple[Samples, Samples] | None, clip: 
         made[part] = longest(flags)
     off = 100 * np.linalg.norm(shown - truth, axis=2)
     made["markers cm"] = float(np.nanmean(off))
+    made["far flagged"] = np.nan
     if all_of_them is not None:
         raw = 100 * np.linalg.norm(all_of_them[0][at][:, SHOWN] - truth, axis=2)
         far = raw > FAR_CM
