@@ -2,7 +2,7 @@
 `--write` puts it into docs/lab/bedside.md.
 
 Rooms, cameras (1.2 to 2.8 m high, tilted by 0 to 60 degrees, at the foot, a side or the head) and breath (6 to 45 per minute, 2 to 6 mm)
-are drawn by seed. Rules were chosen on seeds below 1000; the others are shown apart. In each room nobody is in bed for a minute and a
+are drawn by seed. Rules were chosen on seeds below 1000; the others are shown apart. In each room the bed is empty for a minute and a
 half, then somebody lies there and breathes, pauses for 20 s twice, and leaves; a fan lifts the blanket, or a heap is left.
 """
 
@@ -41,7 +41,7 @@ LEFT_OUT = 1000
 
 @dataclass(slots=True)
 class Tally:
-    """Counts over rooms. absent: epochs out of bed with somebody there; present: in bed with nobody there."""
+    """Counts over rooms. absent: epochs out of bed with somebody there; present: in bed with an empty bed."""
 
     rooms: int = 0
     found: int = 0
@@ -93,15 +93,15 @@ def measured(seed: int, camera: TiltedCamera, tally: Tally) -> None:
     end = begin + 30
     paused = np.logical_or.reduce([(begin < b) & (end > a) for a, b in PAUSES])
     still = (begin >= 180) & (end <= LEAVES) & ~paused
-    nobody = (end <= COMES) | (begin >= LEAVES + 15)
+    bed_empty = (end <= COMES) | (begin >= LEAVES + 15)
     known = np.isfinite(breaths["rate"])
     errors = np.abs(breaths["rate"] - per_min)
     tally.still += int(still.sum())
     tally.known += int((still & known).sum())
     tally.errors += errors[still & known].tolist()
     tally.covered += int((errors <= breaths["error"])[still & known].sum())
-    tally.empty += int(nobody.sum())
-    tally.empty_rates += int((nobody & known).sum())
+    tally.empty += int(bed_empty.sum())
+    tally.empty_rates += int((bed_empty & known).sum())
     counted = int(np.nansum(breaths["pauses"][end <= LEAVES + 30]))
     tally.pauses += min(counted, len(PAUSES))
     tally.false_pauses += max(0, counted - len(PAUSES))
@@ -135,7 +135,7 @@ def _states(events: Array, at: Array) -> Array:
 
 HEADER = [
     "sensor", "rooms", "bed found", "still epochs with a rate", "error of the rate, median / 95 % (1/min)", "within its interval",
-    "rate in an empty bed", "out, somebody there (epochs)", "in, nobody there (epochs)", "pauses of 20 s found", "false pauses per h",
+    "rate in an empty bed", "out, somebody there (epochs)", "in, bed empty (epochs)", "pauses of 20 s found", "false pauses per h",
 ]  # fmt: skip
 ABOUT = "By `python -m bench.rooms`. Chosen-on rooms have seeds below 1000; rules were not changed after the left-out ones were seen."
 TITLE = "Bed, breath and presence in random tilted rooms: breath of 2 to 6 mm, 6 to 45 per minute"

@@ -17,7 +17,7 @@ PAUSE_NS = 5 * NS
 class BedDepths:
     """
     regions    (k, 4)           in blocks: row, column, rows, columns; no rows: not known
-    room       (rows, columns)  the frame while nobody was in bed, NaN where not known
+    room       (rows, columns)  the frame while the bed was empty, NaN where not known
     empty      (rows, columns)  the empty bed's depth, NaN where not known
     mattress   (rows, columns)  while it is not known, the plane that most of the bed lies in; NaN where not known
     flat       (k,)             whether nothing stood out of the mattress in the newest stretch, while the bed was not known

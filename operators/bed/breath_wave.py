@@ -32,7 +32,7 @@ class BreathWave:
     level      (cells,)       slow depth of each cell (mm); NaN: not seen yet
     chosen     (k, cells)     1 and -1: cells that rise and fall with the chest, 0 the others
     newest     (k, n)         the signal of the newest epoch, a ring by the number of the tick
-    tick       the newest tick since 1970; NEVER: none
+    tick       the newest tick since 1970; NEVER: no tick yet
     usual      (k,)           how far the chest moves within a span (mm); 0: not known
     low        (k,)           for how many ticks it has moved too little
     pauses, paused (k,)       pauses that ended in this epoch, and their length (s)

@@ -53,7 +53,7 @@ class BreathingState:
     there, changed  (k,) whether each sleeper is in bed (with `bed`; else always), and when that became so or ended (ns)
     spoilt     (k,)  whether a sleeper was out of bed at any time in the open epoch
     epochs, known  (k,)  epochs in bed of this night, and those with a rate
-    emitted    number of the newest tick whose wave was emitted; NEVER: none
+    emitted    number of the newest tick whose wave was emitted; NEVER: no tick yet
     lost       what the next emission says is missing before it
     """
 

@@ -12,7 +12,7 @@ from tests.sleep.tilted_room import FOCAL, Stay, TiltedCamera, TiltedRoom
 SIDES = ("foot", "left", "right", "head")
 MIDDLE_M = (0.0, 1.0, 0.5)
 """Of a mattress."""
-PLAIN, NOBODY = TiltedCamera(), Stay()
+PLAIN, EMPTY = TiltedCamera(), Stay()
 MIN_SEEN = 0.8
 """This much of the mattress is within the picture."""
 
@@ -26,7 +26,7 @@ def placed(where: str, height: float, tilt: float, base: TiltedCamera = PLAIN) -
 
 
 def random_room(
-    seed: int, width: int, height: int, base: TiltedCamera = PLAIN, stay: Stay = NOBODY
+    seed: int, width: int, height: int, base: TiltedCamera = PLAIN, stay: Stay = EMPTY
 ) -> tuple[TiltedRoom, str, float, float]:
     """A room, from which side its camera looks, how high it hangs (m), and its tilt: one that sees the bed, and is in no wall."""
     random = np.random.default_rng([seed, 77])

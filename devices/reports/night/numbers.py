@@ -142,8 +142,8 @@ def _published(numbers: Mapping[str, Any]) -> list[ReportRow]:
 
 def _breath(epochs: LoggedEpochs) -> list[ReportRow]:
     """How far the chest rises, and pauses; nothing in the logs of older versions."""
-    none = np.empty(0)
-    lift, pauses = (epochs.numbers.get(name, none) for name in ("lift_mm", "pauses"))
+    empty = np.empty(0)
+    lift, pauses = (epochs.numbers.get(name, empty) for name in ("lift_mm", "pauses"))
     lift, pauses = lift[np.isfinite(lift)], pauses[np.isfinite(pauses)]
     made = []
     if len(lift):

@@ -156,7 +156,7 @@ class Looks:
                 self.regions[str(e["sleeper"])] = row, column, max(1, rows), max(1, columns)
 
     def breath(self, sleeper: str) -> BedFinding | None:
-        """Whether this sleeper's breath was seen in the last half minute of lying still; None: nobody was seen in a region."""
+        """Whether this sleeper's breath was seen in the last half minute of lying still; None: the region is not known."""
         k = self.sleepers.index(sleeper)
         region = self.regions.get(sleeper)
         if region is None or not self._lay[k]:
