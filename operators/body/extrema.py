@@ -70,7 +70,7 @@ SPEAKS, MOST_ODDS, CHANGES, SURE = 1.0, 2.0, -0.1, 0.1
 """How much the shape of a frame that is sure of it counts for the heading, or against it, and the most that it adds up to; below which the
 heading is turned round; below which it is as likely as not that left is left: what has another side is missing then."""
 CROSSED_M, ASTRAY_M = (0.10, 0.04), 0.15
-"""Elbows that lie on each other's side by the first, and knees by the second, are exchanged; one alone, by the third, is nobody's."""
+"""Elbows that lie on each other's side by the first, and knees by the second, are exchanged; one alone, by the third, is left out."""
 ALONG = 0.4
 """The chest is widest along the shoulders if that is so far from where the shape says that the left is (a cosine)."""
 

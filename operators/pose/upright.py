@@ -21,7 +21,7 @@ not along another below the third."""
 WALKED_M, LEAST_S, MOST_S = 0.75, 2.0, 10.0
 """Who goes so far across the line from feet to head does not lie. Asked after the second, until the third, of being seen."""
 LEAP_M = 0.25
-"""Nobody goes so far from a sample to the next: what was walked before does not count."""
+"""A person does not go so far from a sample to the next: what was walked before does not count."""
 SEEN, SUM, LOW, HIGH, TOLD, RATE, PLACE = 0, 1, 4, 7, 10, 11, 12
 """Places in a tally (15,): samples; the sum of directions from feet to head; where the hips were, at least and at most;
 whether it was reported; the rate in Hz; where the hips are (3,)."""
