@@ -1,0 +1,308 @@
+"""`python -m bench.generalise`: how the segmentation does on every set at hand, set by set; Markdown.
+
+So that a rule that was made for one set shows its price on the others. Real: annotated motion capture, sixty Kinect recordings of gestures
+(twelve of them, `seen`, were looked at for years), actions done once (UTKinect). Simulated: `tests/support/everyday_made.py`.
+`--only SET,SET`; `--write` puts the table into docs/lab/segmentation-figures.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from bench.motion import RATE, Series, features, kinect, poses, regular, segment
+from bench.report import Section, marks, publish, whole
+from kinegraph.devices.people.exerciser import JOINTS
+from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.segmentation.evaluation.found import Found
+from kinegraph.operators.segmentation.evaluation.scores import score
+from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
+from kinegraph.stream.chunk import NS, Samples, StreamSpec
+from tests.support.everyday_made import ANGLES, EXERCISES, LARGE, SMALL, Done, Person, a_session
+
+SEEN = (
+    "P1_1_2_p21", "P1_1_3_p19", "P1_1_5_p21", "P1_1_6_p19", "P1_1_9_p19", "P2_1_8_p07", "P2_2_12_p05", "P2_2_4_p09",
+    "P3_1_1_p23", "P3_2_10_p17", "P3_2_11_p29", "P3_2_7_p17",
+)  # fmt: skip
+"""MSRC-12 recordings on which parameters and rules were chosen before the others were at hand."""
+
+
+SEEN_BY_ANGLES = (
+    "arm raises",
+    "squats",
+    "front raises",
+    "punches",
+    "knee raises",
+    "jumping jacks",
+    "toe touches",
+    "kicks",
+    "windmill",
+    "quarter squats",
+)
+"""Exercises of which arms' and thighs' angles say something."""
+
+
+@dataclass(slots=True)
+class Item:
+    """One recording: its set, stacked features, and what was done. counts: spans (s) with how many repetitions; minutes without any."""
+
+    kind: str
+    name: str
+    features: Series
+    truth: Truth | None = None
+    counts: list[tuple[float, float, int]] = field(default_factory=list)
+    idle_min: float = 0.0
+    done: list[Done] = field(default_factory=list)
+
+
+def real(folder: Path) -> Iterator[Item]:
+    for kind, name, pose, truth in poses(folder):
+        yield Item(kind, name, pose.through(Stack()), truth)
+    for path in sorted(folder.glob("msrc12/*.npz")):
+        kind = "MSRC-12, seen" if path.stem in SEEN else "MSRC-12, new"
+        keys = read_truth(path).keys
+        yield Item(kind, path.stem, kinect(path).through(Stack()), counts=[(-np.inf, np.inf, len(keys))])
+    for path in sorted(folder.glob("utkinect/*.npz")):
+        with np.load(path) as found:
+            joints, names = found["joints_m"].astype(np.float64), tuple(str(n) for n in found["joint_names"])
+            stamps = ((found["frame"] - found["frame"][0]) / 30.0 * NS).astype(np.int64)
+            label, acts = found["label"], [str(n) for n in found["label_names"]]
+        keep = np.append(True, np.diff(stamps) > 0)
+        made = Series(StreamSpec(joints.shape[1:], channels=names, units=("m",)), stamps[keep], joints[keep])
+        done = Truth(*spans_of(label[keep], stamps[keep], acts))
+        yield Item("UTKinect", path.stem, features(made), done)
+
+
+def spans_of(label: Samples, stamps: Samples, names: list[str]) -> tuple[Samples, Samples, list[str], Samples, Samples]:
+    edges = [0, *(np.flatnonzero(np.diff(label)) + 1), len(label)]
+    found = [(a, b) for a, b in pairwise(edges) if label[a] >= 0]
+    start, end = (np.array([stamps[min(k, len(stamps) - 1)] / NS for k in ks]) for ks in zip(*found, strict=True))
+    return start, end, [names[label[a]] for a, _ in found], np.full(len(found), np.nan), np.empty(0)
+
+
+def seen_by_camera(person: Person, noise_mm: float, lost: float = 0.0, missing: str = "") -> Series:
+    joints = person.joints(noise_mm)
+    rng = np.random.default_rng((person.seed, 9))
+    stamps = np.round((np.arange(len(joints)) / RATE + rng.uniform(-0.003, 0.003, len(joints)) + 0.02) * NS)
+    joints[rng.random(joints.shape[:2]) < lost] = np.nan
+    if missing:
+        joints[:, JOINTS.index(missing)] = np.nan
+    return features(
+        Series(StreamSpec((len(JOINTS), 3), channels=JOINTS, units=("m",)), stamps.astype(np.int64), joints)
+    )
+
+
+def angles_of(person: Person) -> Series:
+    """The thigh's and upper arm's angles to the front (4 channels, degrees), as CMU-86 has them, with its unsteadiness."""
+    a, rng = person.angles(), np.random.default_rng((person.seed, 8))
+    chosen = [ANGLES.index(name) for name in ("flex_l", "flex_r", "hip_l", "hip_r")]
+    made = np.rad2deg(a[:, chosen]) + 0.35 * np.rad2deg(
+        a[:, [ANGLES.index("abduct_l"), ANGLES.index("abduct_r"), 0, 0]]
+    )
+    return regular(made + rng.normal(0.0, 0.3, made.shape)).through(Stack())
+
+
+def truth_of(done: list[Done]) -> Truth:
+    start, end = np.array([d.start for d in done]), np.array([d.end for d in done])
+    counts = np.array([float(d.count) if d.kind == "exercise" else np.nan for d in done])
+    return Truth(start, end, [d.label for d in done], counts, np.empty(0))
+
+
+def near(d: Done, count: int | None = None) -> tuple[float, float, int]:
+    return (d.start - 0.7, d.end + 0.7, d.count if count is None else count)
+
+
+def simulated(quick: bool = False) -> Iterator[Item]:
+    few = 1 if quick else 3
+    for seed in range(4 if quick else 20):
+        person = a_session(seed, SEEN_BY_ANGLES)
+        yield Item("sim, 4 angles", str(seed), angles_of(person), truth_of(person.done))
+    for seed in range(100, 102 if quick else 112):
+        person = a_session(seed)
+        sets = [near(d) for d in person.done if d.kind == "exercise"]
+        yield Item("sim, bodies", str(seed), seen_by_camera(person, 3.0), truth_of(person.done), sets)
+    for k, name in enumerate(EXERCISES):
+        for draw in range(few):
+            rng = np.random.default_rng((k, draw, 50))
+            person = Person(1000 + 10 * k + draw)
+            person.stand(rng.uniform(1, 6))
+            person.exercise(name, int(rng.integers(6, 13)), pauses=(0.0, 0.0, 2.0)[draw], drift=rng.uniform(-0.1, 0.25))
+            person.stand(rng.uniform(2, 5))
+            sets = [near(d) for d in person.done if d.kind == "exercise"]
+            for noise in (1.0, 6.0):
+                yield Item("sim, sets", f"{name} {draw} {noise:g} mm", seen_by_camera(person, noise), counts=sets)
+            lost = [("a fifth of values", 0.2, ""), ("wrist_r", 0.0, "wrist_r"), ("ankle_l", 0.0, "ankle_l")][draw]
+            made = seen_by_camera(person, 3.0, lost[1], lost[2])
+            yield Item("sim, lost joints", f"{name}: {lost[0]}", made, counts=sets)
+            person = Person(1500 + 10 * k + draw)
+            person.hold(rng.uniform(0.0, 1.0))
+            person.exercise(name, int(rng.integers(3, 7)), drift=rng.uniform(-0.1, 0.2))
+            person.hold(rng.uniform(0.3, 1.0))
+            sets = [(-np.inf, np.inf, person.done[-1].count)]
+            if person.time < 20:
+                yield Item("sim, short clips", f"{name} {draw}", seen_by_camera(person, 4.0), counts=sets)
+    for k, large in enumerate(LARGE):
+        for j, small in enumerate(SMALL):
+            for draw in range(few):
+                person = Person(2000 + 100 * k + 10 * j + draw)
+                person.stand(3.0)
+                person.exercise(large, 9)
+                person.stand((5.0, 30.0, 12.0)[draw])
+                person.exercise(small, 9)
+                person.stand(4.0)
+                sets = [near(d) for d in person.done if d.label == small]
+                yield Item(
+                    "sim, small after large", f"{large}, {small} {draw}", seen_by_camera(person, 2.0), counts=sets
+                )
+    for k, name in enumerate(EXERCISES):
+        for draw in range(1 if quick else 2):
+            person = Person(3000 + 10 * k + draw)
+            person.stand(3.0)
+            person.exercise(name, 10, partial=((3, 7), (4, 5, 8))[draw])
+            person.stand(3.0)
+            sets = [near(d, 8 - draw) for d in person.done if d.kind == "exercise"]
+            yield Item("sim, half repetitions", f"{name} {draw}", seen_by_camera(person, 3.0), counts=sets)
+    for draw in range(2 * few):
+        yield everyday(draw)
+        if draw < few:
+            yield walking(draw)
+    for seed in range(4000, 4010 if quick else 4060):
+        yield video(seed)
+
+
+def everyday(draw: int) -> Item:
+    """Two minutes of what somebody does who waits for somebody: one thing after the other, with pauses; no exercise, and no walking."""
+    person = Person(5000 + 10 * draw)
+    acts: list[Callable[[], None]] = [
+        person.drink, person.stretch, person.scratch, person.tie_shoes,
+        lambda: person.talk(person.rng.uniform(8, 25)), lambda: person.stand(person.rng.uniform(5, 25)),
+    ]  # fmt: skip
+    while person.time < 120.0:
+        for k in person.rng.permutation(len(acts)):
+            acts[k]()
+            person.hold(person.rng.uniform(0.2, 3.0))
+    return Item(
+        "sim, everyday",
+        str(draw),
+        seen_by_camera(person, (1.0, 3.0, 6.0)[draw % 3]),
+        idle_min=person.time / 60,
+        done=person.done,
+    )
+
+
+def walking(draw: int) -> Item:
+    person = Person(5500 + 10 * draw)
+    while person.time < 90.0:
+        person.walk(person.rng.uniform(5, 12))
+        person.stand(person.rng.uniform(1.0, 8.0))
+    return Item("sim, walking about", str(draw), seen_by_camera(person, 3.0), idle_min=person.time / 60)
+
+
+def video(seed: int) -> Item:
+    """A clip from the net: a few to many repetitions, other motion before or behind, joints as an estimator finds them in pictures."""
+    person, rng = Person(seed), np.random.default_rng((seed, 6))
+    name = str(rng.choice(list(EXERCISES)))
+    before = [
+        lambda: None,
+        lambda: person.hold(rng.uniform(0.5, 3)),
+        lambda: person.talk(rng.uniform(2, 6)),
+        lambda: person.walk(3.0),
+    ]
+    before[int(rng.integers(4))]()
+    person.exercise(
+        name,
+        int(rng.choice([2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25])),
+        pauses=rng.choice([0.0, 0.0, 0.0, 0.6, 2.0]),
+        drift=rng.uniform(-0.2, 0.5),
+    )
+    [lambda: None, lambda: person.hold(rng.uniform(0.5, 3)), lambda: person.stretch()][int(rng.integers(3))]()
+    joints = person.joints(rng.uniform(5.0, 12.0))
+    view = rng.uniform(-0.9, 0.9)
+    c, s = np.cos(view), np.sin(view)
+    middle = joints[:, :1].mean(0)
+    x = c * (joints[:, :, 0] - middle[..., 0]) + s * (joints[:, :, 2] - middle[..., 2])
+    depth = -s * (joints[:, :, 0] - middle[..., 0]) + c * (joints[:, :, 2] - middle[..., 2])
+    joints[:, :, 0], joints[:, :, 2] = x, 0.6 * depth + rng.normal(0.0, 0.03, depth.shape)
+    spikes = rng.random(joints.shape[:2]) < 0.003
+    joints[spikes] += rng.normal(0.0, 0.15, (int(spikes.sum()), 3))
+    stamps = np.round(np.arange(len(joints)) / RATE * NS).astype(np.int64)
+    made = features(Series(StreamSpec((len(JOINTS), 3), channels=JOINTS, units=("m",)), stamps, joints))
+    return Item(
+        "sim, videos",
+        f"{name} {seed}",
+        made,
+        counts=[(-np.inf, np.inf, next(d.count for d in person.done if d.kind == "exercise"))],
+    )
+
+
+def items(folder: Path, only: tuple[str, ...] = (), *, quick: bool = False) -> Iterable[Item]:
+    for made in (real(folder), simulated(quick)):
+        for item in made:
+            if not only or any(part in item.kind for part in only):
+                yield item
+
+
+class Tally:
+    """Figures of each set."""
+
+    def __init__(self) -> None:
+        self.figures: dict[str, dict[str, list[float]]] = {}
+
+    def take(self, item: Item, found: Found) -> None:
+        mine = self.figures.setdefault(item.kind, {})
+        if item.truth is not None and len(item.truth.boundaries()):
+            made = score(found, item.truth)
+            for name in ("f1", "covering", "strict", "tolerant"):
+                mine.setdefault(name, []).append(getattr(made, name))
+        middles = found.repetitions().mean(1)
+        for start, end, count in item.counts:
+            counted = int(((middles > start) & (middles < end)).sum())
+            mine.setdefault("exact", []).append(counted == count)
+            mine.setdefault("within 1", []).append(abs(counted - count) <= 1)
+            mine.setdefault("MAE", []).append(abs(counted - count) / max(1, count))
+        if item.idle_min or item.kind == "UTKinect":
+            minutes = item.idle_min or len(item.features.data) / RATE / 60
+            mine.setdefault("counts a minute", []).append(len(middles) / minutes)
+            for one in item.done:
+                within = ((middles >= one.start) & (middles < one.end)).sum()
+                mine.setdefault(f"  {one.label}", []).append(within / minutes * len(item.done) / 6)
+
+    def rows(self) -> list[list[str]]:
+        names = ("f1", "covering", "strict", "tolerant", "exact", "within 1", "MAE", "counts a minute")
+        made = []
+        for kind, figures in self.figures.items():
+            count = max(len(v) for v in figures.values())
+            made.append([kind, str(count), *(f"{np.mean(figures[n]):.3f}" if n in figures else "" for n in names)])
+        return made
+
+
+HEADER = ["set", "of", "F1", "covering", "strict", "tolerant", "exact", "within 1", "MAE", "false counts a minute"]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m bench.generalise", description=__doc__)
+    parser.add_argument("--only", default="", help="sets with one of these in their name, separated by commas")
+    parser.add_argument("--quick", action="store_true", help="a few of each")
+    parser.add_argument("--write", action="store_true", help="write the tables into docs/lab/segmentation-figures.md")
+    given = parser.parse_args()
+    folder = Path(os.environ.get("KINEGRAPH_DATA", "")) / "segmentation"
+    if not os.environ.get("KINEGRAPH_DATA") or not folder.is_dir():
+        sys.exit("KINEGRAPH_DATA must name a folder of recordings that holds `segmentation`")
+    tally = Tally()
+    for item in items(folder, tuple(filter(None, given.only.split(","))), quick=given.quick):
+        tally.take(item, segment(item.features))
+    sections = [Section("Every set at hand", HEADER, tally.rows())]
+    print(whole(sections, "By `python -m bench.generalise`."))
+    if given.write:
+        publish(sections, "By `python -m bench.generalise`.", "lab/segmentation-figures.md", *marks("bench.generalise"))
+
+
+if __name__ == "__main__":
+    main()
