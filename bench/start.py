@@ -252,10 +252,9 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="warm starts of each")
     parser.add_argument("--write", action="store_true", help=f"write into docs/{PAGE}")
     given = parser.parse_args()
+    load = os.getloadavg()[0]
     sections = [commands(given.rounds), graphs(given.graphs or list(shipped()), given.rounds)]
-    busy = (
-        f" Load average {os.getloadavg()[0]:.1f}: wall times are of a busy machine." if os.getloadavg()[0] > 2 else ""
-    )
+    busy = f" The load average was {load:.1f} at the start: wall times are of a busy machine." if load > 1 else ""
     print(whole(sections, ABOUT + busy))
     if given.write:
         begin, end = marks("bench.start")

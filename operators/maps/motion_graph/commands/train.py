@@ -22,7 +22,7 @@ PRIMITIVE = {"onset", "end", "activity", "repetition", "cluster"}
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ShownMotion:
     """A name for the cluster that most of these seconds of a recording belong to."""
 
     name: str
@@ -104,12 +104,12 @@ def report(output: File, made: MotionGraph, takes: list[Take]) -> None:
         say(f"  left out: {made.name_of(k)} of {takes[take].name}, {first:.1f} to {last:.1f} s: {why}")
 
 
-def read_shown(text: str) -> Shown:
+def read_shown(text: str) -> ShownMotion:
     """ "walk=0-12.5". Raises KinegraphError."""
     name, _, span = text.partition("=")
     first, _, last = span.partition("-")
     try:
-        made = Shown(name.strip(), float(first), float(last))
+        made = ShownMotion(name.strip(), float(first), float(last))
     except ValueError:
         raise KinegraphError(f"--call {text!r}: must be NAME=FROM-TO in seconds, such as walk=0-12.5") from None
     if not (made.name.isidentifier() and len(made.name) <= 32 and 0.0 <= made.first_s < made.last_s < 1e6):
@@ -119,7 +119,7 @@ def read_shown(text: str) -> Shown:
     return made
 
 
-def name_clusters(takes: list[Take], shown: list[Shown], rate_hz: float) -> tuple[list[Take], list[str]]:
+def name_clusters(takes: list[Take], shown: list[ShownMotion], rate_hz: float) -> tuple[list[Take], list[str]]:
     """Takes with clusters renumbered from 0 without holes, and their names: the given ones, else A, B, ... in order.
 
     Clusters of one name are one. Raises KinegraphError where nothing repeats in the seconds given.
