@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from kinegraph.devices.outlets.terminal.cycle_table import CycleTable
     from kinegraph.devices.outlets.terminal.exercise_panel import ExercisePanel
     from kinegraph.devices.outlets.terminal.prompt_panel import PromptPanel
+    from kinegraph.devices.outlets.terminal.readout import Readout
     from kinegraph.devices.outlets.terminal.step_panel import StepPanel
     from kinegraph.devices.outlets.trigger import TriggerOutlet
     from kinegraph.devices.page.map.answers import PoseAnswers
@@ -116,6 +117,7 @@ __all__ = [
     "PromptPanel",
     "Quadruped",
     "Qualisys",
+    "Readout",
     "RealSense",
     "RecordedStreams",
     "SessionEnd",
@@ -185,6 +187,7 @@ __getattr__, __dir__ = offered(
         "PromptPanel": "kinegraph.devices.outlets.terminal.prompt_panel",
         "Quadruped": "kinegraph.devices.people.quadruped",
         "Qualisys": "kinegraph.devices.qualisys",
+        "Readout": "kinegraph.devices.outlets.terminal.readout",
         "RealSense": "kinegraph.devices.cameras.realsense",
         "RecordedStreams": "kinegraph.devices.recorded.recorded_streams",
         "SessionEnd": "kinegraph.devices.outlets.session_end",

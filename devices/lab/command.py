@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -30,9 +31,12 @@ def lab(
     from kinegraph.devices.page.address import parsed
     from kinegraph.devices.page.serving import refuse_unbuilt
     from kinegraph.stream.cli.commands import logs
+    from kinegraph.stream.errors import KinegraphError
     from kinegraph.stream.system.atomic_file import private_folder
 
     logs.set_up()
+    if os.name == "nt":
+        raise KinegraphError("the lab needs Linux or macOS: Windows has no lock that a session's process can inherit")
     refuse_unbuilt()
     address = parsed(at or f":{DEFAULT_PORT}", no_token=no_token)
     private_folder(home)

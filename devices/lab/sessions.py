@@ -7,7 +7,6 @@ output.txt   what the command printed
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -25,6 +24,7 @@ from kinegraph.devices.lab.jobs import COMMAND
 from kinegraph.stream.data.json_file import read_json, write_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder
+from kinegraph.stream.text.time_text import for_names
 
 FACTS, LOCK, OUTPUT = "lab.json", "lab.lock", "output.txt"
 PAGE = re.compile(r"^page: (http\S+)", re.MULTILINE)
@@ -75,6 +75,8 @@ class LabSession:
     @property
     def runs(self) -> bool:
         """Whether its process lives: it holds the lock from its first moment to its last."""
+        import fcntl  # not on Windows, where `kinegraph lab` refuses to begin
+
         for child in [*_children]:
             if child.poll() is not None:
                 _children.remove(child)
@@ -177,7 +179,7 @@ class Sessions:
     def new(self, name: str) -> Path:
         """A folder for a new session."""
         name = re.sub(r"[^\w.-]+", "_", name).strip("._") or "session"
-        stamp, more = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()), 1
+        stamp, more = for_names(), 1
         while (folder := self._folder / f"{name}-{f'{more}-' if more > 1 else ''}{stamp}").exists():
             more += 1
         private_folder(folder)
@@ -185,6 +187,8 @@ class Sessions:
 
     def begin(self, folder: Path, arguments: Sequence[str], facts: Mapping[str, Any]) -> LabSession:
         """Start `kinegraph` with these arguments, detached: neither the end of the lab nor of the browser reaches it."""
+        import fcntl
+
         write_json(folder / FACTS, {"began_s": time.time(), "pid": 0, **facts})
         with (folder / LOCK).open("wb") as lock, (folder / OUTPUT).open("wb") as output:
             fcntl.flock(lock, fcntl.LOCK_EX)  # which the process inherits, and keeps

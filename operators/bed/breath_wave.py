@@ -117,7 +117,8 @@ class BreathWave:
         low, high = np.percentile(x, (5, 95))
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x)))) ** 2
         per_min = 60 * np.fft.rfftfreq(len(x), tick_s)
-        near = (np.abs(per_min - rate) <= NEAR) | (np.abs(per_min - 2 * rate) <= NEAR)
+        width = max(NEAR, per_min[1])  # short epochs have frequencies far apart
+        near = (np.abs(per_min - rate) <= width) | (np.abs(per_min - 2 * rate) <= width)
         return float(high - low), float(power[near].sum() / max(power[per_min > NEAR].sum(), 1e-12))
 
     def forget(self, k: int) -> None:

@@ -97,7 +97,7 @@ class Breathing(Operator[BreathingState]):
     No delay: the event comes with the epoch's end.
 
     >>> given, made = tried(Breathing)
-    >>> made["sleeper"].tolist()[:2], made["rate"].round(1)[:4]
+    >>> made["out"]["sleeper"].tolist()[:2], made["out"]["rate"].round(1)[:4]
     (['a', 'b'], array([ nan,  nan, 15.4,  nan]))
     """
 

@@ -105,7 +105,7 @@ class StrideManner(Operator[StrideMannerState]):
     `CycleReview` (input `manner`) leaves strides of turning out, unless asked for with `count_turns`.
 
     >>> given, made = tried(StrideManner)
-    >>> made["manner"]["manner"].tolist().count("turning")
+    >>> made["manner"].tolist().count("turning")
     2
     """
 

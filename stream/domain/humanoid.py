@@ -148,6 +148,15 @@ def body_in(tree: JointTree, bones: Mapping[str, str] | None = None) -> tuple[li
     return at, heads, _from_t_pose(heads)
 
 
+def relative_to_parents(at: Sequence[int], change: Samples) -> Samples:
+    """Rotations (22, 4) as `body_in` gives, but of each bone without a joint beside its parent's, with which it moves."""
+    made = change.copy()
+    for b, joint in enumerate(at):
+        if joint < 0:
+            made[b] = _times(change[NUMBERS[b]] * np.array([[1.0, -1.0, -1.0, -1.0]]), change[b])[0]
+    return made
+
+
 def _from_t_pose(heads: Samples) -> Samples:
     """For each bone the rotation that takes it from the T-pose to the rest at which joints are at `heads` (22, 3)."""
     made = _trunk_from_t_pose(heads)

@@ -113,6 +113,11 @@ def now() -> str:
     return f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"
 
 
+def for_names() -> str:
+    """This second, as the names of files and folders have it: "20261121T010203Z"."""
+    return f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+
+
 def time_of_day(stamp: int, zone: tzinfo = UTC) -> str:
     """A stamp (ns) as a time of day: "01:02:03 UTC"."""
     return f"{datetime.fromtimestamp(stamp // NS, zone):%H:%M:%S %Z}"

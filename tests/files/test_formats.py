@@ -92,7 +92,7 @@ def test_several_kinds_of_file_become_one_recording(installed: Path) -> None:
     [
         (
             ("files", "import", "grip.xyz", "-o", "a.mcap"),
-            "must end in .amc, .anc, .asf, ",
+            "must end in .agd, .amc, .anc, .asf, ",
         ),
         (("files", "import", "gone.lab", "-o", "a.mcap"), "gone.lab: there is no such file"),
         (("files", "export", "a.mcap", "--format", "labs"), "--format labs: is not one of bdf, bids, "),

@@ -211,7 +211,7 @@ def test_bones_of_another_skeleton_are_turned_as_its_joints_are() -> None:
     bones: list[Rotation] = []
     for bone in facts["bones"]:
         own = Rotation.from_quat(bone["turn"], scalar_first=True)
-        bones.append(world[bone["joint"]] * own if bone["joint"] >= 0 else bones[bone["parent"]])
+        bones.append(world[bone["joint"]] * own if bone["joint"] >= 0 else bones[bone["parent"]] * own)
     made, rows = to_humanoid(tree, pose[None])
     whole = joints_of(made, rows)[0][0]
     same = [abs(float(np.dot(q, r.as_quat(scalar_first=True)))) for q, r in zip(whole, bones, strict=True)]

@@ -193,8 +193,8 @@ def test_two_classes_of_one_name_are_imported_under_two(tmp_path: Path, monkeypa
 
 
 def test_a_loaded_graph_keeps_its_comments_and_grows() -> None:
-    graph = kg.load("cyton_emg")
-    assert graph.to_yaml() == shipped()["cyton_emg"].read_text(encoding="utf-8")
+    graph = kg.load("myoware")
+    assert graph.to_yaml() == shipped()["myoware"].read_text(encoding="utf-8")
     graph.add("slow", Lowpass(cutoff_hz=50), "envelope", record=True)
     assert kg.Graph.from_yaml(graph.to_yaml()).specs == graph.specs
     assert str(graph.check().record[-1]) == "slow"

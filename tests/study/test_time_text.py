@@ -60,8 +60,8 @@ def test_a_stream_of_a_million_samples_a_second_says_so() -> None:
     assert "at 2000000 Hz" in StreamSpec((1,), rate_hz=2e6).describe()
 
 
-ELSEWHERE = {"stream/text/time_text.py", "devices/formats/edf/edf_plus.py", "stream/cli/commands/run.py"}
-"""Also files' own formats: an EDF date, the name of a session's folder."""
+ELSEWHERE = {"stream/text/time_text.py", "devices/formats/edf/edf_plus.py"}
+"""Also a file's own format: an EDF date."""
 
 
 def test_every_length_and_clock_time_goes_through_one_formatter() -> None:

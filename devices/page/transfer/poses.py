@@ -34,14 +34,18 @@ def bones_of(spec: StreamSpec) -> Bones | None:
 
 
 def avatar_bones(spec: StreamSpec) -> dict[str, Any] | None:
-    """What an avatar needs to follow a stream of poses: the joints' parents, and of every humanoid bone its joint (-1: it moves with its
-    parent) and the rotation (w, x, y, z) from the T-pose to the skeleton's rest. None for what is no humanoid."""
+    """What an avatar needs to follow a stream of poses. None for what is no humanoid.
+
+    It is the joints' parents, and of every humanoid bone its joint and the rotation (w, x, y, z) from the T-pose to the skeleton's rest. A
+    bone without a joint (-1) moves with its parent, and its rotation is beside that one's.
+    """
     if bones_of(spec) is None:
         return None
     from kinegraph.stream.domain.humanoid import (  # the session's process has the compiler that these load
         BONES,
         NUMBERS,
         body_in,
+        relative_to_parents,
     )
     from kinegraph.stream.domain.skeleton import JointTree
 
@@ -49,6 +53,7 @@ def avatar_bones(spec: StreamSpec) -> dict[str, Any] | None:
         joints, _, turns = body_in(tree := JointTree.of(spec))
     except KinegraphError:
         return None
+    turns = relative_to_parents(joints, turns)
     names = [bone[0].lower() + bone[1:] for bone in BONES]  # as VRM writes them
     return {
         "parents": tree.parents.tolist(),

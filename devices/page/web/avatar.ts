@@ -94,8 +94,8 @@ export class AvatarFigure {
     });
     this.info.bones.forEach(({ joint, parent }, b) => {
       const world = this.world[b] as Quaternion;
-      if (joint >= 0) world.multiplyQuaternions(this.joints[joint] as Quaternion, this.turns[b] as Quaternion);
-      else world.copy(this.world[parent] as Quaternion);
+      const above = (joint >= 0 ? this.joints[joint] : this.world[parent]) as Quaternion;
+      world.multiplyQuaternions(above, this.turns[b] as Quaternion);
     });
   }
 

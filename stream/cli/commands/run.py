@@ -6,7 +6,6 @@ import json
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from importlib.metadata import entry_points
@@ -22,6 +21,7 @@ from kinegraph.stream.errors import Interrupted, KinegraphError, RecordingError
 from kinegraph.stream.source import Source
 from kinegraph.stream.system.entry_points import loaded
 from kinegraph.stream.text.safe_text import say
+from kinegraph.stream.text.time_text import for_names
 
 if TYPE_CHECKING:
     from kinegraph.stream.engine.session import SessionPage
@@ -188,7 +188,7 @@ def session_folder(graph: Graph, out: Path | None, resume: bool = False) -> Path
         return out
     name, recordings = graph.name, Path(graph.recording.folder)
     if not resume:
-        return recordings / f"{name}-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}"
+        return recordings / f"{name}-{for_names()}"
     sessions = sorted(recordings.glob(f"{name}-*Z"))
     if not sessions:
         raise RecordingError(f"there is no session of {name!r} in {recordings} to resume; name its folder with --out")
