@@ -306,7 +306,10 @@ def test_a_config_runs_without_hardware(
     monkeypatch.setenv("COLUMNS", "160")
     keep = ("--set", "recording.rolling=false")
     code, _, complaint = kinegraph("run", config, "--simulate", "--for", "2", "-o", "session", "--view", "none", *keep)
-    assert code == 0, complaint
+    no_broker = (
+        "not delivered: home: the MQTT broker" in complaint
+    )  # there is none, and a first state may fall into the two seconds
+    assert code == (5 if no_broker else 0), complaint
     info = kinegraph("info", "session")[1]
     assert "simulated_sources" in info
     rows = inputs_of(info)
