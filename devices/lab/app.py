@@ -174,7 +174,7 @@ class Lab:
             found = json.loads(check.found) if check.found else {}
         except ValueError:
             found = {}
-        return JSONResponse({"said": check.said, "code": check.code, "found": found})
+        return JSONResponse({"status": check.printed, "code": check.code, "found": found})
 
     async def post_calibrate(self, request: Request) -> Response:
         """A reference for amplitudes from a session of strongest contractions."""
@@ -461,10 +461,10 @@ def listening(address: Address) -> socket.socket:
         try:
             made.bind((address.host, port))
             made.listen()
-        except OSError:
+        except OSError as error:
             made.close()
             if not port:
-                raise
+                raise KinegraphError(f"the lab cannot be served at {address.host}: {error.strerror or error}") from None
             continue
         return made
     raise KinegraphError("no port is free")

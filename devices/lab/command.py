@@ -39,6 +39,8 @@ def lab(
         raise KinegraphError("the lab needs Linux or macOS: Windows has no lock that a session's process can inherit")
     refuse_unbuilt()
     address = parsed(at or f":{DEFAULT_PORT}", no_token=no_token)
+    if home.exists() and not home.is_dir():
+        raise KinegraphError(f"{home} is a file; name the folder of your sessions, or one to be made")
     private_folder(home)
     asyncio.run(serve(home.resolve(), address, duration_s=duration_s, browser=browser))
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 COMMAND = (sys.executable, "-P", "-c", "from kinegraph.stream.cli.main import main; main()")
-MAX_SAID = 20_000
+MAX_PRINTED = 20_000
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
@@ -21,7 +21,7 @@ class Check:
     """A check under way: a command that says what is to be done on its standard error, and what it found as JSON."""
 
     def __init__(self) -> None:
-        self.said, self.found, self.code = "", "", -1
+        self.printed, self.found, self.code = "", "", -1
 
     async def run(self, home: Path, *arguments: str) -> None:
         """Call the command until it ends."""
@@ -32,7 +32,7 @@ class Check:
         try:
             reading = asyncio.create_task(process.stdout.read())
             async for line in process.stderr:
-                self.said = (self.said + line.decode(errors="replace"))[-MAX_SAID:]
+                self.printed = (self.printed + line.decode(errors="replace"))[-MAX_PRINTED:]
             self.found = (await reading).decode(errors="replace")
             self.code = await process.wait()
         finally:

@@ -1,4 +1,4 @@
-"""One walk for all simulated devices of a session: the EMG board's muscles and the foot's sensor belong to one person."""
+"""One walk for simulated devices that are worn together: an EMG board on the muscles and an inertial sensor on the foot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 
 class SharedWalk:
-    """How far the walk is that several simulated devices show.
+    """How far the walk has come that several simulated devices show. The Cyton and the MTi ask; others carry both sensors themselves.
 
     A device that is switched on later joins in the middle of the walk. Outside of `watched` every walk begins when its device does,
     so that sample i is always the same.
@@ -45,4 +45,4 @@ class SharedWalk:
 
 
 WALK = SharedWalk()
-"""What `--simulate` uses: one person for each process."""
+"""The walk of `--simulate`: one person for each process."""

@@ -51,7 +51,7 @@ class BedRegion(Operator[BedState]):
     With `regions` they are reported with the first sample. Without, the bed is looked for in the mean of `learn_s`: the largest level
     surface from `lowest_mm` to `highest_mm` above the floor, if it covers `min_share` of the frame and half of its own rectangle; less
     a block at sides of more than 20, for blocks that hold the bed's edge tremble with the pixels that happen to be measured. The camera
-    may be tilted by up to 65 degrees from looking straight down, and must see some floor. Several sleepers share the bed side by side,
+    may be tilted by up to 60 degrees from looking straight down, and must see some floor. Several sleepers share the bed side by side,
     in the order of their names from the left; from the top, where it looks half as wide again as it is long, for then the camera hangs
     beside it. Until a bed is found, it keeps searching; after four attempts it reports regions without rows.
 

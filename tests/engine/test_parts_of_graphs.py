@@ -122,6 +122,13 @@ def test_the_help_of_run_shows_the_graphs_settings(kinegraph: Command, folder: P
     assert "Low-pass (a number from 1 to 60 Hz; default 30)" in rows["right.cutoff_hz"]
 
 
+def test_a_setting_that_a_part_lacks_is_named_with_the_nearest(kinegraph: Command, folder: Path) -> None:
+    refused(
+        kinegraph("check", "walk.yaml", "--set", "right.cutof_hz=3"),
+        "the part 'right' has no setting 'right.cutof_hz'; did you mean 'right.cutoff_hz'?",
+    )
+
+
 def test_a_run_with_parts_is_replayed_bit_for_bit_from_its_recording_alone(kinegraph: Command, folder: Path) -> None:
     assert kinegraph("run", "walk.yaml", "-o", "session", "--view", "none")[0] == 0
     (folder / "recorded.yaml").write_text(kinegraph("info", "session", "--graph")[1])

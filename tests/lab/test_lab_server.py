@@ -21,7 +21,10 @@ from kinegraph.devices.page.access import Access
 from kinegraph.devices.page.address import Address
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.recording import Recording
+from tests.support.command_line import Command, kinegraph, refused
 from tests.support.page_session import needs_page
+
+__all__ = ["kinegraph"]
 
 pytestmark = needs_page
 
@@ -112,6 +115,14 @@ def test_what_is_wrong_is_refused_in_words(client: Client) -> None:
     assert client.ask("GET", "/api/sessions/..%2F..%2Fetc")[0] in (400, 404)
     assert client.ask("GET", "/api/sessions/nothing")[0] == 400
     assert client.ask("POST", "/api/presets", [1])[0] == 400
+
+
+def test_where_no_lab_can_be_is_named(kinegraph: Command, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("no folder")
+    refused(kinegraph("lab", "notes.txt", "--for", "1", "--no-browser"), "notes.txt is a file", "name the folder")
+    refused(
+        kinegraph("lab", "--at", "no such host:1", "--for", "1", "--no-browser"), "cannot be served at no such host"
+    )
 
 
 @pytest.mark.parametrize("name", ["..", ".", ".hidden", "a/b", "a\\b", ""])

@@ -13,7 +13,7 @@ const WINDOW_S = 0.5;
 
 interface Electrode { name: string; rest: number; contraction: number; flag: string; reason: string; advice?: string }
 interface Finding { well: boolean; text: string }
-interface Checked { said: string; code: number; found: { unit?: string; electrodes?: Electrode[]; findings?: Finding[]; problems?: string[] } }
+interface Checked { status: string; code: number; found: { unit?: string; electrodes?: Electrode[]; findings?: Finding[]; problems?: string[] } }
 
 const TITLES: Record<string, [string, string]> = {
   electrodes: ["Check the electrodes", "5 s of rest, then 10 s in which every muscle is contracted in turn. Nothing is kept."],
@@ -39,14 +39,14 @@ export function Check({ kind, graph, values, simulate }: { kind: string; graph: 
   };
   const runs = id !== "" && !error && (state === null || state.code < 0);
   const [title, what] = TITLES[kind] ?? [kind, ""];
-  const said = state?.said.trim().split("\n").at(-1)?.replace(/^kinegraph: /, "") ?? "";
+  const status = state?.status.trim().split("\n").at(-1)?.replace(/^kinegraph: /, "") ?? "";
   const electrodes = state?.found.electrodes ?? [];
   const findings = [...(state?.found.findings ?? []), ...(state?.found.problems ?? []).map((text) => ({ well: false, text }))];
   return (
     <div class="check">
       <div class="actions">
         <button type="button" disabled={runs} onClick={begin}>{state && !runs ? `${title} again` : title}</button>
-        <output role="status" class={error ? "bad" : runs ? "prompt" : "quiet"}>{error || (runs ? said || "getting ready…" : state ? said : what)}</output>
+        <output role="status" class={error ? "bad" : runs ? "prompt" : "quiet"}>{error || (runs ? status || "getting ready…" : state ? status : what)}</output>
       </div>
       {electrodes.length ? <ul class="lights">{electrodes.map((one) => (
         <li key={one.name} class={one.flag}><i aria-hidden="true" /><strong>{one.name}</strong> <span>{one.reason ? `${one.flag}: ${one.reason}` : one.flag}</span>{one.advice ? <small>{one.advice}</small> : null}</li>

@@ -7,7 +7,7 @@ import { usePolled } from "./lab_poll";
 export function Library() {
   const [home, error, ask] = usePolled<Home>("api/home");
   const [text, setText] = useState("");
-  const [said, say] = useState("");
+  const [status, setStatus] = useState("");
   const [over, setOver] = useState(false);
   if (!home) return <p class="quiet" role="status">{error || "reading the lab’s folder…"}</p>;
   const wanted = text.toLowerCase().split(/\s+/).filter(Boolean);
@@ -17,13 +17,13 @@ export function Library() {
   });
   const take = async (files: FileList | null) => {
     for (const file of files ?? []) {
-      say(`importing ${file.name} (${size(file.size)})…`);
+      setStatus(`importing ${file.name} (${size(file.size)})…`);
       try {
         const { id } = await drop(file);
-        say("");
+        setStatus("");
         location.hash = `#/session/${encodeURIComponent(id)}`;
       } catch (failed) {
-        say((failed as Error).message);
+        setStatus((failed as Error).message);
       }
     }
     ask();
@@ -51,7 +51,7 @@ export function Library() {
         onDrop={(e) => { e.preventDefault(); setOver(false); void take(e.dataTransfer?.files ?? null); }}>
         <span>Drop a recording of another program here, or choose one</span>
         <input type="file" onChange={(e) => void take(e.currentTarget.files)} />
-        <span role="status" class="quiet">{said}</span>
+        <span role="status" class="quiet">{status}</span>
       </label>
     </>
   );

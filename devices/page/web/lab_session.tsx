@@ -31,12 +31,12 @@ function useHello(id: string, there: boolean): Hello | null {
 
 function Running({ state, path, lost, ask }: { state: State; path: string; lost: string; ask: () => void }) {
   const hello = useHello(state.id, state.page);
-  const [said, say] = useState("");
+  const [status, setStatus] = useState("");
   const [ending, setEnding] = useState(false);
   const [stopping, setStopping] = useState(false);
   const text = useRef<HTMLInputElement>(null);
   const act = (what: string, given: object = {}, done = "") =>
-    send(`${path}/${what}`, given).then(() => { say(done); ask(); }, (error: Error) => say(error.message));
+    send(`${path}/${what}`, given).then(() => { setStatus(done); ask(); }, (error: Error) => setStatus(error.message));
   const mark = (word: string) => void act("mark", { text: word }, `marked: ${word}`);
   const words = hello?.words ?? [];
   const groups: [string, string[]][] = [["Stages", words.filter((word) => /stage|next/.test(word))], ["Cycles and more", words.filter((word) => !/stage|next/.test(word))]];
@@ -63,7 +63,7 @@ function Running({ state, path, lost, ask }: { state: State; path: string; lost:
             ) : <button type="button" class="stop" disabled={stopping} onClick={() => setEnding(true)}>{stopping ? "ending…" : "Stop"}</button>}
           </div>
         ) : <div class="large"><span class="quiet">somebody else controls this session</span><button type="button" onClick={() => void act("control")}>Take control</button></div>}
-        <output role="status" class={lost ? "bad" : "quiet"}>{lost || said}</output>
+        <output role="status" class={lost ? "bad" : "quiet"}>{lost || status}</output>
       </div>
       {state.page && state.kind === "mvc" ? <Bars id={state.id} mark={mark} /> : state.page ? <iframe class="page" src={source} title="what the session measures" /> : (
         <div class="waiting" role="status"><p>Starting</p><p class="quiet">{lastLine(state.output) || "devices are looked for, and kernels are made ready; the first start of a use takes longest"}</p></div>
@@ -77,7 +77,7 @@ function Word({ word, mark }: { word: string; mark: (word: string) => void }) {
   const field = useRef<HTMLInputElement>(null);
   if (!word.endsWith(" ")) return <button type="button" onClick={() => mark(word)}>{word}</button>;
   return (
-    <form onSubmit={(e) => { e.preventDefault(); const said = field.current?.value.trim(); if (said) mark(word + said); if (field.current) field.current.value = ""; }}>
+    <form onSubmit={(e) => { e.preventDefault(); const status = field.current?.value.trim(); if (status) mark(word + status); if (field.current) field.current.value = ""; }}>
       <input ref={field} size={10} aria-label={word.trim()} placeholder={word.includes("stage") ? "1.2 m/s" : "17 TA"} /><button type="submit">{word.trim()}</button>
     </form>
   );
@@ -88,17 +88,17 @@ const lastLine = (text: string): string => text.trim().split("\n").at(-1) ?? "";
 function Finished({ state, path }: { state: State; path: string }) {
   const reports = state.files.filter((name) => name.endsWith(".html"));
   const [shown, show] = useState("");
-  const [said, say] = useState("");
+  const [status, setStatus] = useState("");
   const [busy, setBusy] = useState("");
   const report = shown || reports[0] || "";
   const file = (name: string, save = false) => `${path}/files/${encodeURIComponent(name)}${save ? "?save" : ""}`;
   const attempt = async (what: string, act: () => Promise<string>) => {
     setBusy(what);
-    say("");
+    setStatus("");
     try {
-      say(await act());
+      setStatus(await act());
     } catch (error) {
-      say((error as Error).message);
+      setStatus((error as Error).message);
     }
     setBusy("");
   };
@@ -144,7 +144,7 @@ function Finished({ state, path }: { state: State; path: string }) {
         {state.kind === "mvc" ? <button type="button" class="primary" disabled={!!busy} onClick={() => void reference()}>{busy === "mvc" ? "computing…" : "Use as the reference"}</button> : null}
         {state.graph ? <button type="button" onClick={repeat}>Once more with these settings</button> : null}
       </div>
-      <p role="status" class="said">{said}</p>
+      <p role="status" class="status">{status}</p>
       <Remarks state={state} path={path} />
       {state.kind !== "import" ? <Compare state={state} path={path} done={show} /> : null}
       {reports.length > 1 ? <div class="choice">{reports.map((name) => <button type="button" key={name} aria-pressed={name === report} onClick={() => show(name)}>{name.replace(/\.html$/, "")}</button>)}</div> : null}
@@ -171,7 +171,7 @@ function Remarks({ state, path }: { state: State; path: string }) {
 function Compare({ state, path, done }: { state: State; path: string; done: (file: string) => void }) {
   const [others, setOthers] = useState<Summary[]>([]);
   const [chosen, choose] = useState("");
-  const [said, say] = useState("");
+  const [status, setStatus] = useState("");
   useEffect(() => {
     void get<Home>("api/home").then((home) => {
       const found = home.sessions.filter((one) => one.id !== state.id && !one.runs && one.graph === state.graph && !one.error);
@@ -182,13 +182,13 @@ function Compare({ state, path, done }: { state: State; path: string; done: (fil
   }, [state.id]);
   if (!others.length) return null;
   const compare = () => {
-    say("comparing…");
-    void send<{ file: string }>(`${path}/compare`, { with: [chosen] }).then(({ file }) => { say(""); done(file); }, (error: Error) => say(error.message));
+    setStatus("comparing…");
+    void send<{ file: string }>(`${path}/compare`, { with: [chosen] }).then(({ file }) => { setStatus(""); done(file); }, (error: Error) => setStatus(error.message));
   };
   return (
     <section class="actions">
       <label class="inline">Compare with <select value={chosen} onChange={(e) => choose(e.currentTarget.value)}>{others.map((one) => <option key={one.id} value={one.id}>{one.subject || one.name}, {day(one.began_s)}</option>)}</select></label>
-      <button type="button" onClick={compare}>Compare</button><span role="status" class="said">{said}</span>
+      <button type="button" onClick={compare}>Compare</button><span role="status" class="status">{status}</span>
     </section>
   );
 }
@@ -196,9 +196,9 @@ function Compare({ state, path, done }: { state: State; path: string; done: (fil
 function Again({ state, path }: { state: State; path: string }) {
   const [form, setForm] = useState<Form | null>(null);
   const [values, setValues] = useState<Values>({});
-  const [said, say] = useState("");
-  const open = () => { if (!form) get<Form>(`api/form?graph=${encodeURIComponent(state.graph)}`).then(setForm, (error: Error) => say(error.message)); };
-  const begin = () => void send<{ id: string }>(`${path}/replay`, { values }).then(({ id }) => { location.hash = `#/session/${encodeURIComponent(id)}`; }, (error: Error) => say(error.message));
+  const [status, setStatus] = useState("");
+  const open = () => { if (!form) get<Form>(`api/form?graph=${encodeURIComponent(state.graph)}`).then(setForm, (error: Error) => setStatus(error.message)); };
+  const begin = () => void send<{ id: string }>(`${path}/replay`, { values }).then(({ id }) => { location.hash = `#/session/${encodeURIComponent(id)}`; }, (error: Error) => setStatus(error.message));
   return (
     <details class="more" onToggle={open}>
       <summary>replay this recording with other settings, into a new session</summary>
@@ -206,7 +206,7 @@ function Again({ state, path }: { state: State; path: string }) {
         const { [name]: _, ...rest } = old;
         return value === undefined ? rest : { ...rest, [name]: value };
       })} /> : null}
-      <div class="actions"><button type="button" onClick={begin}>Replay</button><span role="status" class="bad">{said}</span></div>
+      <div class="actions"><button type="button" onClick={begin}>Replay</button><span role="status" class="bad">{status}</span></div>
     </details>
   );
 }

@@ -16,16 +16,16 @@ export function Setup({ graph }: { graph: string }) {
   const [values, setValues] = useState<Values>(again.graph === graph ? again.values : {});
   const [simulate, setSimulate] = useState(true);
   const [chosen, setChosen] = useState<Record<string, string>>({});
-  const [said, say] = useState("");
+  const [status, setStatus] = useState("");
   const [busy, setBusy] = useState(false);
   useEffect(() => {
-    get<Form>(`api/form?graph=${encodeURIComponent(graph)}`).then(setForm, (error: Error) => say(error.message));
+    get<Form>(`api/form?graph=${encodeURIComponent(graph)}`).then(setForm, (error: Error) => setStatus(error.message));
     get<Found[]>("api/devices").then((all) => {
       setFound(all);
       setSimulate(!all.some((one) => one.use));
     }, () => setFound([]));
   }, [graph]);
-  if (!form) return <p class={said ? "bad" : "quiet"} role="status">{said || "reading the graph…"}</p>;
+  if (!form) return <p class={status ? "bad" : "quiet"} role="status">{status || "reading the graph…"}</p>;
   const change = (name: string, value: Value | undefined) =>
     setValues((old) => {
       const { [name]: _, ...rest } = old;
@@ -43,11 +43,11 @@ export function Setup({ graph }: { graph: string }) {
   };
   const attempt = async (act: () => Promise<void>) => {
     setBusy(true);
-    say("");
+    setStatus("");
     try {
       await act();
     } catch (error) {
-      say((error as Error).message);
+      setStatus((error as Error).message);
     }
     setBusy(false);
   };
@@ -60,7 +60,7 @@ export function Setup({ graph }: { graph: string }) {
     const name = prompt("Name of the preset");
     if (name) void attempt(async () => {
       const { graph: made } = await send<{ graph: string }>("api/presets", { graph, name, values: all() });
-      say(`kept as ${made}; kinegraph run takes it`);
+      setStatus(`kept as ${made}; kinegraph run takes it`);
     });
   };
   const facts = form.fields.filter((field) => field.name.startsWith("session."));
@@ -83,7 +83,7 @@ export function Setup({ graph }: { graph: string }) {
       <div class="actions">
         <button type="submit" class="primary" disabled={busy}>Start</button>
         <button type="button" disabled={busy} onClick={keep}>Save as preset</button>
-        <span role="status" class={said.startsWith("kept") ? "good" : "bad"}>{said}</span>
+        <span role="status" class={status.startsWith("kept") ? "good" : "bad"}>{status}</span>
       </div>
     </form>
   );

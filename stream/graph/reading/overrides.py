@@ -92,11 +92,20 @@ def override(root: Located, overrides: Mapping[str, Any], problems: Problems) ->
         new = locate(value, 0, f"--set {name}")
         place = place_of(name, top)
         if place is None:
-            nodes = top["nodes"].items() if "nodes" in top else {}
-            problems.add(f"there is no node {name.partition('.')[0]!r}; {nearest(name.partition('.')[0], nodes)}", new)
+            problems.add(_unknown(name, top), new)
             continue
         put(top, place, new)
     return Located(top, root.line) if overrides and isinstance(root.value, dict) else root
+
+
+def _unknown(name: str, top: Mapping[str, Located]) -> str:
+    """Why `name` can be no setting, and the nearest that can."""
+    nodes = dict(top["nodes"].items()) if "nodes" in top else {}
+    part = name.partition(".")[0]
+    if any(node.startswith(f"{part}.") for node in nodes):
+        settings = [one for one in read_settings(top.get("settings"), Problems("")) if one.startswith(f"{part}.")]
+        return f"the part {part!r} has no setting {name!r}; {nearest(name, settings)}"
+    return f"there is no node {part!r}; {nearest(part, nodes)}"
 
 
 def rewrite(text: str, overrides: Mapping[str, Any], wanted: Located) -> str:
