@@ -14,7 +14,10 @@ USES = {
         "Muscle activity of every gait cycle, stage by stage, and left beside right",
     ),
     "treadmill_emg": ("Treadmill, one leg", "Muscle activity of every gait cycle, as the cycle ends"),
-    "cyton_emg": ("EMG only", "Raw EMG and its envelope, from an OpenBCI Cyton"),
+    "cyton_emg": (
+        "EMG with a Cyton",
+        "Muscle activity of every gait cycle, from an OpenBCI Cyton and a sensor on the foot",
+    ),
     "bedside_sleep": ("Night", "Asleep or awake, breathing and movement, from a depth camera over the bed"),
     "bedside_simulated": ("Night, simulated", "A whole night in half a minute"),
     "count_repetitions": ("Repetitions", "Exercises found, named and counted, from one sensor"),

@@ -47,7 +47,7 @@ function Running({ state, path, lost, ask }: { state: State; path: string; lost:
         <div class="facts">
           <span class={`light ${state.page ? "on" : ""}`} role="img" aria-label={state.page ? "recording" : "starting"} />
           <strong class="clock">{lasting(state.now_s - state.began_s)}</strong>
-          <span><strong>{state.subject || state.name.replace(/_/g, " ")}</strong> <span class="quiet">{size(state.free_bytes)} left</span></span>
+          <span><strong>{state.subject || state.name.replace(/_/g, " ")}</strong> <span class="quiet">{size(state.free_bytes)} of disk left</span></span>
         </div>
         {state.controls ? (
           <div class="large" role="toolbar" aria-label="session">
