@@ -35,6 +35,7 @@ def import_(
     scale: argument.Scale = None,
     up: argument.PointsUp = None,
     forward: argument.FacesForward = None,
+    bones: argument.BoneNames = None,
     meta: argument.StreamFacts = None,
     fact: argument.SessionFacts = None,
     start: argument.Start = "",
@@ -73,6 +74,8 @@ def import_(
     series = read_files(files, options, kinect=kinect)
     _check_names(series)
     _declare_axes(series, pairs("up", up), pairs("forward", forward))
+    if bones:
+        _name_bones(series, pairs("bones", bones, named=True))
     if output is not None and not preview:
         _write(files, series, options, facts, output, chunk_ms / 1000, overwrite=overwrite)
     if as_json:
@@ -152,6 +155,30 @@ def _declare_axes(series: Sequence[Series], up: dict[str, str], forward: dict[st
         one.spec = one.spec.derive(meta=in_axes(one.spec, axes))
     if forward and not up:
         raise RecordingError("--forward: say which axis points up, too, with --up")
+
+
+def _name_bones(series: Sequence[Series], bones: dict[str, str]) -> None:
+    """Give the joints of poses the names of the bones that they are. Raises RecordingError where they are no body even so."""
+    from dataclasses import replace
+
+    from kinegraph.stream.domain.humanoid import find_bones
+    from kinegraph.stream.domain.skeleton import JointTree
+    from kinegraph.stream.errors import KinegraphError
+
+    posed = [one for one in series if "skeleton" in one.spec.meta and len(one.spec.shape) == 1]
+    if not posed:
+        raise RecordingError(
+            "--bones: there are no poses in these files; a BVH file has them with --unit, as in --unit cm"
+        )
+    for one in posed:
+        tree = JointTree.of(one.spec)
+        try:
+            find_bones(tree.joints, bones)
+            named = {joint: bone for bone, joint in bones.items()}
+            tree = replace(tree, joints=tuple(named.get(joint, joint) for joint in tree.joints))
+        except (KinegraphError, ValueError) as error:
+            raise RecordingError(f"--bones: {one.name}: {error}") from None
+        one.spec = tree.spec(one.spec.rate_hz, meta=one.spec.meta)
 
 
 def _check_names(series: Sequence[Series]) -> None:

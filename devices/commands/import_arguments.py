@@ -60,6 +60,13 @@ PointsUp: TypeAlias = Annotated[
 FacesForward: TypeAlias = Annotated[
     Many, typer.Option(metavar="[NAME=]AXIS", help="with --up: the axis along which bodies face, if it is known")
 ]
+BoneNames: TypeAlias = Annotated[
+    Many,
+    typer.Option(
+        metavar="BONE=JOINT",
+        help="poses: which joint is which bone (LeftUpperArm=Bone_17), where its name does not show it",
+    ),
+]
 StreamFacts: TypeAlias = Annotated[
     Many, typer.Option(metavar="NAME:KEY=VALUE", help="a fact about a stream, e.g. side=right")
 ]

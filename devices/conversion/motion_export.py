@@ -1,4 +1,4 @@
-"""`kinegraph files export` to BVH and GLB: one stream of poses, or of a mesh's vertices, becomes a file that animation programs open."""
+"""`kinegraph files export` to BVH, GLB and VRM animations: one stream of poses, or of a mesh, as a file for animation programs."""
 
 from __future__ import annotations
 
@@ -102,5 +102,24 @@ def _glb(wanted: Export) -> list[Written]:
     return [(name, wanted.place, len(times))]
 
 
+def _vrma(wanted: Export) -> list[Written]:
+    from kinegraph.devices.formats.gltf.writer import write_vrm_animation
+    from kinegraph.stream.domain.humanoid import BONES, to_humanoid
+    from kinegraph.stream.errors import KinegraphError
+
+    name = _one(wanted, "poses")
+    times, poses, _ = whole(wanted, name)
+    body = JointTree.of(wanted.recording.streams[name].spec)
+    if body.joints != BONES:
+        try:
+            body, poses = to_humanoid(body, poses)
+        except KinegraphError as error:
+            raise RecordingError(f"stream {name!r}: {error}") from None
+    with complete(wanted.place) as draft:
+        write_vrm_animation(draft, (times - times[0]) / NS, body, poses)
+    return [(name, wanted.place, len(times))]
+
+
 BVH = Exporter("one stream of poses as BVH, in cm", ".bvh", _bvh, takes_poses)
 GLB = Exporter("one stream of poses or of a mesh as binary glTF", ".glb", _glb, takes_motion)
+VRMA = Exporter("one stream of poses as a VRM animation (VRMC_vrm_animation)", ".vrma", _vrma, takes_poses)

@@ -9,11 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from kinegraph.devices.formats.asf.reader import read_amc, read_asf
 from kinegraph.devices.formats.bvh.reader import read_bvh
+from kinegraph.devices.formats.bvh.writer import COUNT, bvh_head, bvh_rows
 from kinegraph.devices.formats.c3d.reader import read_c3d
 from kinegraph.devices.formats.kinematics import in_turn, place
 from kinegraph.devices.formats.table.kinect import ONE, read_kinect
 from kinegraph.operators.features.skeleton import SETS, find_joints
 from kinegraph.stream.cli import main as cli
+from kinegraph.stream.domain.humanoid import BONES, find_bones, usual_body
 from kinegraph.stream.domain.skeleton import JointTree, joints_of
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.recording import Recording
@@ -498,6 +500,34 @@ def test_streams_of_motion_files_get_the_names_that_a_graph_wants(tmp_path):
     assert set(specs) == {"mocap.joints", "lab.markers", "board.x"}
     assert specs["mocap.joints"].units == ("cm",) and specs["lab.markers"].meta == {"who": "S1"}
     assert specs["board.x"].units == ("V",)
+
+
+def test_bones_are_named_where_the_joints_of_a_file_do_not_show_them(tmp_path):
+    body = usual_body()
+    odd = {"LeftUpperArm": "Bone_17", "Hips": "Bone_1"}
+    tree = JointTree(tuple(odd.get(bone, bone) for bone in BONES), body.parents, body.offsets)
+    poses = np.tile(np.concatenate([body.offsets[0], np.tile([1.0, 0.0, 0.0, 0.0], len(BONES))]), (3, 1))
+    head, at = bvh_head(tree, 30.0)
+    written(tmp_path, "odd.bvh", f"{head[:at]}{3:{COUNT}d}{head[at + COUNT :]}{bvh_rows(tree, poses)}")
+    files = ("files", "import", tmp_path / "odd.bvh", "--unit", "cm", "-o", tmp_path / "odd.mcap")
+    kinegraph(*files, "--bones", "LeftUpperArm=Bone_17", "--bones", "Hips=Bone_1")
+    with Recording.open(tmp_path / "odd.mcap") as recording:
+        spec = recording.streams["odd.pose"].spec
+    found = find_bones(JointTree.of(spec).joints)
+    assert found["LeftUpperArm"] == "LeftUpperArm" and found["Hips"] == "Hips" and "LeftUpperArm.w" in spec.channels
+    for words, message in (
+        (("LeftUpperArm=Bone_71", "Hips=Bone_1"), "a joint one of"),
+        (("LeftArm=Bone_17",), "a bone is one of"),
+        (("Hips=Bone_1",), "has no LeftUpperArm"),
+    ):
+        with pytest.raises(RecordingError, match=message):
+            call_command(*files, *(part for word in words for part in ("--bones", word)), "--overwrite")
+
+
+def test_bones_of_files_without_poses_are_refused(tmp_path):
+    file = written(tmp_path, "walk.bvh", BVH)
+    with pytest.raises(RecordingError, match="no poses in these files"):
+        call_command("files", "import", file, "--bones", "Hips=Hips", "-o", tmp_path / "walk.mcap")
 
 
 @pytest.mark.parametrize(

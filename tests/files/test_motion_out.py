@@ -29,7 +29,7 @@ from kinegraph.devices.page.web import bundle
 from kinegraph.devices.people.performer import true_pose
 from kinegraph.devices.people.quadruped import topology, walking
 from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
-from kinegraph.stream.domain.humanoid import BONES, usual_body
+from kinegraph.stream.domain.humanoid import BONES, PARENTS, usual_body
 from kinegraph.stream.domain.skeleton import joints_of
 from kinegraph.stream.errors import DeviceError, InputError, KinegraphError, ParameterError
 from kinegraph.stream.operator import grid
@@ -106,6 +106,31 @@ def test_a_recorded_pose_is_exported(kinegraph: Command, tmp_path: Path) -> None
     code, _, complaint = kinegraph("files", "export", "run", "-o", "all.glb")
     assert code == 0 and "someone.markers: left out" in complaint, complaint
     assert gltf_of(tmp_path / "all.glb")[0]["animations"]
+    code, _, complaint = kinegraph("files", "export", "run", "--stream", "someone.pose", "-o", "dance.vrma")
+    assert code == 0, complaint
+    document, data = gltf_of(tmp_path / "dance.vrma")
+    is_vrm_animation(document, data, np.array([true_pose(k / 30) for k in range(120)]))
+
+
+def is_vrm_animation(document: dict[str, Any], data: bytes, poses: Samples) -> None:
+    """The file is a VRM animation of these poses: every bone is a node below its parent, the rest is the T-pose."""
+    facts = document["extensions"]["VRMC_vrm_animation"]
+    assert facts["specVersion"] == "1.0" and document["extensionsUsed"] == ["VRMC_vrm_animation"]
+    nodes = {name: bone["node"] for name, bone in facts["humanoid"]["humanBones"].items()}
+    assert set(nodes) == {bone[0].lower() + bone[1:] for bone in BONES}
+    for bone, parent in PARENTS.items():
+        node = nodes[bone[0].lower() + bone[1:]]
+        assert not parent or node in document["nodes"][nodes[parent[0].lower() + parent[1:]]]["children"]
+        assert np.allclose(document["nodes"][node]["translation"], TREE.offsets[BONES.index(bone)], atol=1e-6)
+        assert "rotation" not in document["nodes"][node]
+    (animation,) = document["animations"]
+    moved = {
+        (c["target"]["node"], c["target"]["path"]): animation["samplers"][c["sampler"]] for c in animation["channels"]
+    }
+    assert [node for node, path in moved if path == "translation"] == [nodes["hips"]], "bones of other lengths stay so"
+    turns = numbers(document, data, moved[nodes["leftLowerArm"], "rotation"]["output"]).reshape(len(poses), 4)
+    at = 3 + 4 * BONES.index("LeftLowerArm")
+    assert np.abs((turns * poses[:, at : at + 4][:, [1, 2, 3, 0]]).sum(axis=1)) == pytest.approx(1.0, abs=1e-6)
 
 
 def gltf_of(path: Path) -> tuple[dict[str, object], bytes]:

@@ -22,6 +22,7 @@ VERTICES, TRIANGLES = 34962, 34963
 TOLERANCE_M = 0.0005
 """Morph targets are the motion's principal directions; as many as keep every vertex within this distance of where it was."""
 MOST_TARGETS = 64
+VRM_ANIMATION = "VRMC_vrm_animation"
 THICK = 0.08
 """A stick's thickness in shares of its length."""
 
@@ -104,12 +105,33 @@ def write_skeleton(path: Path, tree: JointTree, times: Samples, poses: Samples, 
             "primitives": [{"attributes": attributes, "indices": glb.add(faces, "SCALAR", target=TRIANGLES)}],
         }
     ]
-    turns = np.asarray(poses[:, 3:], np.float64).reshape(len(poses), j, 4)[..., [1, 2, 3, 0]]
+    glb.animation(times, _moved(poses, j))
+    glb.write(path)
+
+
+def write_vrm_animation(path: Path, times: Samples, body: JointTree, poses: Samples) -> None:
+    """Poses (n, 91) of a humanoid `body` (stream/domain/humanoid.py) at `times` (n,) s as a VRM animation, for avatars of any size.
+
+    Source: VRMC_vrm_animation-1.0 of the VRM consortium: the rest is the T-pose, hips move, every other bone turns.
+    """
+    glb, j = Glb(), len(body.joints)
+    for k, joint in enumerate(body.joints):
+        children = [c for c in range(j) if body.parents[c] == k]
+        node: dict[str, Any] = {"name": joint, "translation": body.offsets[k].tolist()}
+        glb.json["nodes"].append(node | ({"children": children} if children else {}))
+    glb.animation(times, _moved(poses, j))
+    named = {joint[0].lower() + joint[1:]: {"node": k} for k, joint in enumerate(body.joints)}
+    glb.json["extensionsUsed"] = [VRM_ANIMATION]
+    glb.json["extensions"] = {VRM_ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": named}}}
+    glb.write(path)
+
+
+def _moved(poses: Samples, joints: int) -> list[tuple[int, str, Array]]:
+    """What moves of poses (n, 3 + 4 j): the first joint's place, and every joint's rotation."""
+    turns = np.asarray(poses[:, 3:], np.float64).reshape(len(poses), joints, 4)[..., [1, 2, 3, 0]]
     turns = turns / np.linalg.norm(turns, axis=-1, keepdims=True)
     moved: list[tuple[int, str, Array]] = [(0, "translation", poses[:, :3].astype("<f4"))]
-    moved += [(k, "rotation", np.ascontiguousarray(turns[:, k]).astype("<f4")) for k in range(j)]
-    glb.animation(times, moved)
-    glb.write(path)
+    return moved + [(k, "rotation", np.ascontiguousarray(turns[:, k]).astype("<f4")) for k in range(joints)]
 
 
 def _sticks(tree: JointTree) -> tuple[Array, Array, NDArray[np.uint16]]:
