@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -62,24 +61,6 @@ class Count(Operator[Nothing]):
 
     def process(self, port: str, chunk: Chunk) -> None:
         TRIAL.take(chunk.data)
-
-
-@dataclass(frozen=True, slots=True)
-class FirstSample(Operator[Nothing]):
-    """Notes in a file when the first sample came (ns, monotonic clock of the machine)."""
-
-    path: str = param()
-    noted: ClassVar[bool] = False
-
-    def open(self, specs: Specs) -> Specs:
-        self.set_state(Nothing())
-        return {"out": specs["in"]}
-
-    def process(self, port: str, chunk: Chunk) -> None:
-        if len(chunk.time) and chunk.until > NS * 10**6 and not FirstSample.noted:
-            FirstSample.noted = True
-            with open(self.path, "w") as file:  # noqa: PTH123
-                file.write(str(time.monotonic_ns()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parent.parent
 GRAPH = "treadmill_emg"
 FIRST = """nodes:
   bench_first_sample:
-    use: bench.parts.FirstSample
+    use: bench.first_sample.FirstSample
     from: {output}
     path: {path}
 """

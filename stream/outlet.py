@@ -63,6 +63,13 @@ class Outlet(Operator[S], Generic[S, R]):
         with exit code 5, as where an outlet fails or its queue drops."""
         return ""
 
+    def missing(self) -> str:
+        """What this outlet needs and cannot reach, with what to do about it; "" where it is there, or only `begin` can tell.
+
+        Asked before a session compiles; takes two seconds at most. The session goes on without it.
+        """
+        return ""
+
     def meet(self, graph: Graph) -> None:
         """Receive the graph, once, before `begin`: its text, its nodes with their parameters and delays, the session's facts."""
 

@@ -161,8 +161,9 @@ class Source:
 
         from kinegraph.stream.system.names import use_of
 
+        known = entry_points(group="kinegraph.simulators")
         for cls in type(self).__mro__:
-            for entry in entry_points(group="kinegraph.simulators", name=use_of(cls)):
+            for entry in known.select(name=use_of(cls)):
                 device: AbstractContextManager[Source] = entry.load()(self)
                 return device
         return None

@@ -9,7 +9,7 @@ from kinegraph.devices.clocks import line_below
 from kinegraph.devices.clocks.clock_log import ClockLog
 from kinegraph.devices.clocks.device_clock import ClockState
 from kinegraph.devices.transport.ble_link import BleLink, Notification
-from kinegraph.devices.transport.ble_radio import library
+from kinegraph.devices.transport.ble_radio import library, missing
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.source import Feed, Source
 
@@ -38,6 +38,7 @@ class BleSource(Source):
 
     __slots__ = ()
     services: ClassVar[tuple[str, ...]] = ()
+    may_appear: ClassVar[bool] = True
     device: str
     scan_s: float
 
@@ -52,8 +53,7 @@ class BleSource(Source):
         """Whatever has to be done between two notifications."""
 
     def missing(self) -> str:
-        library()
-        return ""
+        return missing(self.device, self.services)
 
     def prepare(self) -> None:
         library()  # where it is missing, waiting for a device would be in vain

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import socket
 import ssl
 import threading
 from collections.abc import Callable, Sequence
@@ -24,6 +25,8 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 KEEPALIVE_S = 30
 MOST_NEWS = 1000
 """This many messages may wait to be looked at; beyond, they are dropped and counted."""
+PROBE_S = 1.5
+"""So long a broker may take to accept a connection, before a session."""
 FAREWELL_S = 2.0
 """How long the last messages are given to reach the broker."""
 ONLINE, OFFLINE = "online", "offline"
@@ -66,6 +69,17 @@ class Broker:
                 raise ParameterError("broker", name, "a file that the user who runs kinegraph may read")
         if self.password_file and not self.username:
             raise ParameterError("broker", self.password_file, "given together with a username")
+
+    def missing(self) -> str:
+        """What to report where no broker answers; "" where one does, or where there is to be no connection."""
+        if not self.host:
+            return ""
+        try:
+            socket.create_connection((self.host, self.port), PROBE_S).close()
+        except OSError as error:
+            why = error.strerror or str(error)
+            return f"no MQTT broker at {self.host}:{self.port} ({why}); start one, or name another: `broker: {{host: ...}}`"
+        return ""
 
     @property
     def password(self) -> str | None:

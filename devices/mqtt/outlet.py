@@ -101,6 +101,9 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
         self.set_state(MessageQueueState(""), MqttRuntime(specs, self.entities))
         return {}
 
+    def missing(self) -> str:
+        return self.broker.missing()
+
     @property
     def undelivered(self) -> str:
         messages = self.runtime.messages

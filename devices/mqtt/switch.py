@@ -39,6 +39,7 @@ class MqttSwitch(Source):
     """
 
     background: ClassVar[bool] = True
+    may_appear: ClassVar[bool] = True
 
     name: str = param(help="what it is called in topics: letters, digits, - and _")
     title: str = param("", help="its name in Home Assistant; left out: `name`")
@@ -55,6 +56,9 @@ class MqttSwitch(Source):
         Device(self.name).check()
         Topics(self.base, self.device.id, self.discovery).check()
         return {"out": StreamSpec((), SWITCHED, meta={"switch": self.name})}
+
+    def missing(self) -> str:
+        return self.broker.missing()
 
     def read(self, feed: Feed) -> None:
         spec, hand = self.specs()["out"], _Hand(self)

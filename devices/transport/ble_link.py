@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from kinegraph.devices.transport.ble_radio import library, not_found, options, run, uuid, wanted
+from kinegraph.devices.transport.ble_radio import library, options, run, seek, uuid
 from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.source import Feed
@@ -50,16 +50,7 @@ class BleLink(ClosesAtExit):
 
     async def _connect(self, device: str, services: Sequence[str], scan_s: float) -> Any:
         self._changed = asyncio.Event()
-        fits, seen = wanted(device, services), {}
-
-        def sees(found: Any, advertised: Any) -> bool:
-            seen[found.address] = found, advertised
-            return fits(found, advertised)
-
-        scanner = self._bleak.BleakScanner
-        found = await scanner.find_device_by_filter(sees, timeout=scan_s, **options("scanner"))
-        if found is None:
-            raise not_found(device, services, scan_s, list(seen.values()))
+        found = await seek(device, services, scan_s)
         self.name = f"{found.name or 'a nameless device'} ({found.address})"
         client = self._bleak.BleakClient(found, disconnected_callback=self._left, timeout=scan_s, **options("client"))
         await client.connect()

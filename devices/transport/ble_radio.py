@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from bleak.backends.scanner import BaseBleakScanner
 
 SHOWN = 8
+PROBE_S = 1.5
+"""So long a device is looked for before a session."""
 
 
 class Radio(Protocol):
@@ -81,6 +83,31 @@ def wanted(device: str, services: Sequence[str]) -> Callable[[Any, Any], bool]:
         return bool(needed & {one.lower() for one in advertised.service_uuids})
 
     return fits
+
+
+async def seek(device: str, services: Sequence[str], scan_s: float) -> Any:
+    """The device that is meant, as soon as it advertises. Raises DeviceError that names those which do."""
+    fits, seen = wanted(device, services), dict[str, tuple[Any, Any]]()
+
+    def sees(found: Any, advertised: Any) -> bool:
+        seen[found.address] = found, advertised
+        return fits(found, advertised)
+
+    found = await library().BleakScanner.find_device_by_filter(sees, timeout=scan_s, **options("scanner"))
+    if found is None:
+        raise not_found(device, services, scan_s, list(seen.values()))
+    return found
+
+
+def missing(device: str, services: Sequence[str] = ()) -> str:
+    """What to report of a device that does not advertise now; "" where it does. Raises DeviceError where bleak is not installed."""
+    library()
+    with asyncio.Runner() as runner:
+        try:
+            run(runner, seek(device, services, PROBE_S))
+        except DeviceError as error:
+            return str(error)
+    return ""
 
 
 def not_found(device: str, services: Sequence[str], scan_s: float, seen: Sequence[tuple[Any, Any]]) -> DeviceError:

@@ -89,6 +89,10 @@ def missing(address: str) -> str:
         return ""
     if address.startswith("udp://"):
         return unreachable(address)
+    if address.startswith("ble://"):
+        from kinegraph.devices.transport.ble_radio import library
+
+        library()
     if present(address) is not False:
         return ""
     there = [port.device for port in connected_ports()]

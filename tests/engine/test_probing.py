@@ -19,12 +19,13 @@ from kinegraph.devices.analog.nidaq import NiDaq
 from kinegraph.devices.cameras import kinect
 from kinegraph.devices.cameras.kinect import AzureKinect
 from kinegraph.devices.lsl import LslInlet
+from kinegraph.devices.mqtt.link import Broker
 from kinegraph.devices.natnet import NatNet, discovery
 from kinegraph.devices.oak import Oak
 from kinegraph.devices.osc.inlet import OscArgument, OscInlet, OscStream
 from kinegraph.devices.osc.vmc_inlet import Vmc
 from kinegraph.devices.qualisys import Qualisys
-from kinegraph.devices.transport import transport, usb_bus
+from kinegraph.devices.transport import ble_radio, transport, usb_bus
 from kinegraph.devices.trigno.source import Trigno, TrignoSensor
 from kinegraph.stream.chunk import Specs, StreamSpec
 from kinegraph.stream.engine import probing
@@ -70,6 +71,56 @@ def test_a_stream_that_may_appear_is_named_and_waited_for(monkeypatch: pytest.Mo
         probing.probe(load_text("nodes:\n  eeg: {use: devices.lsl.LslInlet, name: EEG, channels: 1}\n"))
     (reported,) = logs
     assert reported["node"] == "eeg" and "no LSL stream" in reported["error"] and "--simulate" in reported["error"]
+
+
+BROKER = "{host: 127.0.0.1, port: 1}"
+HOME = f"""nodes:
+  pause: {{use: devices.mqtt.MqttSwitch, name: pause, broker: {BROKER}}}
+  home:
+    use: devices.mqtt.MqttOutlet
+    from: pause
+    broker: {BROKER}
+    entities: {{pause: {{of: pause, name: Pause, field: "on"}}}}
+"""
+
+
+def test_a_broker_that_is_away_is_named_once_and_the_session_goes_on() -> None:
+    with capture_logs() as logs:
+        probing.probe(load_text(HOME))
+    (reported,) = logs
+    assert reported["node"] == "pause, home", "both need the same one"
+    assert "no MQTT broker at 127.0.0.1:1 (Connection refused)" in reported["error"]
+
+
+def test_a_broker_that_is_there_is_not_missing() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        assert Broker("127.0.0.1", server.getsockname()[1]).missing() == Broker("").missing() == ""
+
+
+def test_a_bluetooth_device_that_does_not_advertise_is_named_with_those_that_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("bleak")
+    from kinegraph.devices.ble.simulated_radio import radio
+    from kinegraph.devices.dot.simulator import DotSensor
+    from kinegraph.devices.dot.source import MovellaDot
+
+    monkeypatch.setattr(ble_radio, "PROBE_S", 0.05)
+    with radio() as air, capture_logs() as logs:
+        air.put(DotSensor())
+        assert MovellaDot().missing() == ""
+        probing.probe(load_text("nodes:\n  belt: {use: devices.heart_rate.HeartRate}\n"))
+    (reported,) = logs
+    assert reported["node"] == "belt" and "there are Movella DOT (C0:FF:EE:00:00:00)" in reported["error"]
+    assert "--simulate" in reported["error"]
+
+
+def test_a_bluetooth_device_ends_the_session_where_its_library_is_not_installed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "bleak", None)
+    with pytest.raises(DeviceError, match=r"source 'belt'.*pip install 'kinegraph\[ble\]'"):
+        probing.probe(load_text("nodes:\n  belt: {use: devices.heart_rate.HeartRate}\n"))
 
 
 def test_a_simulated_device_is_not_looked_for(ports: None) -> None:
