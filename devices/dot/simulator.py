@@ -16,7 +16,7 @@ from kinegraph.stream.chunk import Samples
 
 
 class DotSensor:
-    """Channel k of packet i holds i + 1000 k, so that what is read can be checked; its clock begins at a given time."""
+    """Channel k of packet i holds i mod 1000 + 1000 k eighths, so that what is read can be checked; its clock begins at a given time."""
 
     advertised: tuple[str, ...] = ()
     services: dict[str, dict[str, list[str]]] = {
@@ -60,7 +60,10 @@ class DotSensor:
     @staticmethod
     def values(mode: DotMode, number: int) -> Samples:
         """The channels (c,) of a packet."""
-        made = number + 1000.0 * np.arange(len(mode.channels))
+        made = (number % 1000 + 1000.0 * np.arange(len(mode.channels))) / 8
+        names = [name for name, _ in mode.channels]
+        if "qw" in names:
+            made[names.index("qw") :][:4] = (1.0, 0.0, 0.0, 0.0)
         if mode.counts:
             made[-mode.counts :] = number % 7
         return np.asarray(made, np.float64)

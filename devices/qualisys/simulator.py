@@ -102,14 +102,14 @@ class QualisysServer(ClosesAtExit):
                 if text.lower().startswith("streamframes"):
                     began, result = (0.0 if "stop" in text else time.monotonic()), 0
                 else:
-                    client.sendall(self._answer(text.lower()))
+                    client.sendall(self.answer(text.lower()))
             due = int((time.monotonic() - began) * self._rate) if began else 0
             for number in range(result, due):
                 if not self._lose or number % self._lose:
                     client.sendall(protocol.packet(protocol.DATA, protocol.build_data(self.frame(number))))
             result = max(result, due)
 
-    def _answer(self, text: str) -> bytes:
+    def answer(self, text: str) -> bytes:
         if text.startswith("version"):
             return protocol.command(f"Version set to {text.split()[-1]}")
         if text.startswith("getparameters"):

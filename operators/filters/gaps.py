@@ -13,6 +13,7 @@ from kinegraph.operators.inputs.continuity import Continuity, watch
 from kinegraph.stream.chunk import FOREVER, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.data.finite import finite
 from kinegraph.stream.data.require import numeric
+from kinegraph.stream.domain.rotation import rotation_free
 from kinegraph.stream.errors import ParameterError
 from kinegraph.stream.kernel import kernel
 from kinegraph.stream.operator import Case, Emitted, Input, Operator, grid
@@ -98,7 +99,7 @@ class FillGaps(Operator[FillState]):
     `limit_s` is the time between the good values on both sides, and nothing is filled across lost samples. A run that is too long, or that
     nothing good precedes, stays NaN; across a gap in time that is too long nothing is filled.
 
-    method  linear: a straight line between the neighbours; hold: the value before the run
+    method  linear: a straight line between the neighbours, of numbers that are no rotations; hold: the value before the run
     delay   a sample that may yet be filled waits for the next good one, so `limit_s` at most; without bad samples there is no delay
 
     >>> FillGaps()(np.array([1.0, np.nan, np.nan, 4.0]), rate_hz=100)
@@ -112,6 +113,8 @@ class FillGaps(Operator[FillState]):
 
     def open(self, specs: Specs) -> Specs:
         spec = numeric(specs["in"])
+        if self.method == "linear":
+            rotation_free(spec)
         most, gap_s = ANY, self.limit_s
         if spec.rate_hz is not None:
             most = math.floor(self.limit_s * spec.rate_hz + 1e-6)

@@ -11,6 +11,7 @@ from kinegraph.stream.chunk import Samples, StreamSpec
 from kinegraph.stream.data.finite import finite
 from kinegraph.stream.data.require import width_of
 from kinegraph.stream.domain.axes import Axes, in_axes
+from kinegraph.stream.domain.rotation import rotation_free, rotations
 from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.filter import SampleWise
 from kinegraph.stream.kernel import kernel
@@ -37,7 +38,8 @@ class Scale(SampleWise[ScaleState]):
     """Every number times `gain` plus `offset`, as float64. No delay; works at any rate, and passes gaps on as they are.
 
     `gain` and `offset` are one number for all, or one per channel of a signal, or of points (points, 3) one for each of x, y and z;
-    `unit` names what comes out, if it changes. A negative gain turns an axis over: the axes that come out are declared so.
+    `unit` names what comes out, if it changes. A negative gain turns an axis over: the axes that come out are declared so. The numbers of
+    a rotation may be scaled alike and turned over; anything else would give no rotation, and is refused.
 
     >>> Scale(gain=0.5, offset=1.0)(np.array([0.0, 2.0, 4.0]), rate_hz=100)
     array([1., 2., 3.])
@@ -61,6 +63,10 @@ class Scale(SampleWise[ScaleState]):
         if not np.isfinite(line).all():
             parameter = "gain" if not np.isfinite(line[0]).all() else "offset"
             raise ParameterError(parameter, getattr(self, parameter), "finite")
+        for start in rotations(spec):
+            gain, offset = line.reshape(2, -1, spec.shape[-1])[:, :, start : start + 4]
+            if offset.any() or np.ptp(np.abs(gain), axis=-1).any():
+                rotation_free(spec)
         return ScaleState(line)
 
     @staticmethod

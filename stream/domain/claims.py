@@ -251,6 +251,12 @@ ACCELERATIONS = {"g": 1.0, "m/s2": 9.81, "m/s^2": 9.81, "m/s²": 9.81}
 VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
 NOISE_V, MOST_V = 2e-9, 500.0
 """No amplifier's noise is below the first, no electrode gives more than the second."""
+TURNS = {"deg/s": 1.0, "rad/s": 57.29577951308232}
+NOISE_DEG_S, MOST_DEG_S = 0.002, 4000.0
+"""The noise of gyroscopes that people wear is some hundredths of a degree per second; their widest range is the second."""
+WARMTHS = {"degC": 0.0, "°C": 0.0, "C": 0.0, "K": -273.15}
+COLD_C, HOT_C = -40.0, 85.0
+"""The range for which electronics are made; on skin and in rooms it is less."""
 RANGE = 4.0
 """How many standard deviations some tens of samples range over."""
 STILL, SAMPLES = 0.1, 8
@@ -261,9 +267,24 @@ UNIT_LENGTH = 0.05
 def _has_judged_unit(spec: StreamSpec) -> bool:
     if spec.is_event or spec.dtype.kind not in "fiu" or not spec.shape:
         return False
-    units = set(spec.units)
-    judged = len(spec.shape) == 1 and len(units) == 1 and bool(units & (ACCELERATIONS.keys() | VOLTS.keys()))
-    return judged or bool(rotations(spec))
+    return bool(rotations(spec)) or bool(_groups(spec))
+
+
+def _groups(spec: StreamSpec) -> list[tuple[str, slice]]:
+    """Neighbouring channels of one unit that is judged, sensors of three axes in threes."""
+    if len(spec.shape) != 1 or len(spec.units) not in (1, spec.shape[0]):
+        return []
+    units, found, start = spec.units * (spec.shape[0] if len(spec.units) == 1 else 1), list[tuple[str, slice]](), 0
+    while start < len(units):
+        unit, stop = units[start], start
+        while stop < len(units) and units[stop] == unit:
+            stop += 1
+        if unit in VOLTS or unit in WARMTHS:
+            found.append((unit, slice(start, stop)))
+        elif (unit in ACCELERATIONS or unit in TURNS) and (stop - start) % 3 == 0:
+            found += [(unit, slice(at, at + 3)) for at in range(start, stop, 3)]
+        start = stop
+    return found
 
 
 def unit_findings(stream: str, spec: StreamSpec, rows: Array) -> Iterable[Finding]:
@@ -279,11 +300,19 @@ def unit_findings(stream: str, spec: StreamSpec, rows: Array) -> Iterable[Findin
                 "rotations would be wrong", "look at the channels and their scale",
             )  # fmt: skip
             return
-    unit = spec.units[0]
-    if unit in ACCELERATIONS and spec.shape == (3,):
-        yield from _gravity(stream, unit, np.linalg.norm(rows, axis=1))
-    elif unit in VOLTS:
-        yield from _voltage(stream, unit, rows)
+    for unit, part in _groups(spec):
+        found = list(_judged(stream, unit, rows[:, part]))
+        if found:
+            yield from found
+            return
+
+
+def _judged(stream: str, unit: str, rows: Array) -> Iterable[Finding]:
+    if unit in ACCELERATIONS:
+        return _gravity(stream, unit, np.linalg.norm(rows, axis=1))
+    if unit in TURNS:
+        return _turning(stream, unit, rows)
+    return _voltage(stream, unit, rows) if unit in VOLTS else _warmth(stream, unit, rows)
 
 
 def _gravity(stream: str, unit: str, length: Array) -> Iterable[Finding]:
@@ -302,6 +331,37 @@ def _gravity(stream: str, unit: str, length: Array) -> Iterable[Finding]:
                 f"accelerations are off by a factor of {max(gravity / here, here / gravity):.3g}",
                 f"declare the unit {name}, or scale them",
             )  # fmt: skip
+
+
+def _turning(stream: str, unit: str, rows: Array) -> Iterable[Finding]:
+    """Faster than any gyroscope measures most of the time are counts or another unit; so is a sensor without noise."""
+    rows = rows[np.isfinite(rows).all(axis=1)] * TURNS[unit]
+    if len(rows) < SAMPLES:
+        return
+    fast, spread = float(np.percentile(np.linalg.norm(rows, axis=1), 75)), np.ptp(rows, axis=0) / RANGE
+    spread = spread[spread > 0]
+    if fast > MOST_DEG_S:
+        seen = f"mostly above {fast / TURNS[unit]:.3g} {unit}, more than any gyroscope measures"
+    elif len(spread) and spread.max() < NOISE_DEG_S:
+        seen = f"values that spread by {spread.max() / TURNS[unit]:.3g} {unit}, less than a gyroscope's noise"
+    else:
+        return
+    yield Finding(
+        "unit", stream, unit, seen, "angles would be off by the same factor",
+        "declare the right unit (deg/s is 57.3 times rad/s), or scale them",
+    )  # fmt: skip
+
+
+def _warmth(stream: str, unit: str, rows: Array) -> Iterable[Finding]:
+    """What is far from all that electronics bear is another unit, or counts."""
+    finite = rows[np.isfinite(rows)] + WARMTHS[unit]
+    if len(finite) < SAMPLES or COLD_C <= (middle := float(np.median(finite))) <= HOT_C:
+        return
+    other = "K" if COLD_C <= middle - 273.15 <= HOT_C else "degC" if COLD_C <= middle + 273.15 <= HOT_C else ""
+    yield Finding(
+        "unit", stream, unit, f"about {middle - WARMTHS[unit]:.4g} {unit}" + (f", which may be {other}" if other else ""),
+        "no sensor on a body is so cold or hot", f"declare the unit {other}" if other else "declare the right unit, or scale them",
+    )  # fmt: skip
 
 
 def _voltage(stream: str, unit: str, rows: Array) -> Iterable[Finding]:

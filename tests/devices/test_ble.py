@@ -174,7 +174,7 @@ def test_dot_packets_lost_are_known_from_its_time() -> None:
         air.put(DotSensor(), faults=FaultInjection(lose=0.05, seed=3))
         with reading(MovellaDot(rate_hz=120)) as feed:
             until(feed, lambda: feed.count("out") > 200)
-    number, lost = feed.data("out")[:, 0].astype(int), feed.lost("out")
+    number, lost = (8 * feed.data("out")[:, 0]).astype(int), feed.lost("out")
     assert {i: int(step) - 1 for i, step in enumerate(np.diff(number), 1) if step > 1} == lost and lost
 
 

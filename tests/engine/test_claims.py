@@ -170,6 +170,32 @@ def test_gravity_shows_the_unit_of_an_accelerometer(unit: str, gravity: float, i
     assert [f.kind for f in found] == (["unit"] if is_found else [])
 
 
+@pytest.mark.parametrize(
+    ("units", "scale", "seen"),
+    [
+        (("deg/s",), 150.0, ""),
+        (("rad/s",), 3.0, ""),
+        (("rad/s",), 150.0, "more than any gyroscope"),
+        (("deg/s",), 20_000.0, "more than any gyroscope"),
+        (("deg/s",), 0.0003, "less than a gyroscope's noise"),
+        (("g",) * 3 + ("rad/s",) * 3, 150.0, "more than any gyroscope"),
+        (("degC",), 0.2, ""),
+        (("degC",), 310.0, "may be K"),
+        (("degC",), 2000.0, "about"),
+        (("K",), 30.0, "may be degC"),
+    ],
+)
+def test_gyroscopes_and_thermometers_show_their_unit(units: tuple[str, ...], scale: float, seen: str) -> None:
+    rng = np.random.default_rng(7)
+    width = len(units) if len(units) > 1 else 3
+    data = rng.normal(scale, 0.1, (4000, width)) if units[0] in ("degC", "K") else rng.normal(0, scale, (4000, width))
+    if len(units) == 6:
+        data[:, :3] = rng.normal(0, 0.6, (4000, 3))
+    spec = StreamSpec((width,), rate_hz=100.0, channels=tuple("abcdef"[:width]), units=units)
+    found = check_series(ClaimGate("s", spec), grid(100.0, 4000, ZERO), data, None)
+    assert [f.kind for f in found] == (["unit"] if seen else []) and (not seen or seen in found[0].seen)
+
+
 def test_quaternions_that_are_none_are_found() -> None:
     spec = StreamSpec((4,), rate_hz=100.0, channels=("qw", "qx", "qy", "qz"))
     found = check_series(ClaimGate("q", spec), grid(100.0, 4000, ZERO), np.full((4000, 4), 3.0), None)

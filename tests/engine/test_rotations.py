@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kinegraph.operators import Decimate, Lowpass, MovingMean, OneEuro, Resample, Select
+from kinegraph.operators import Decimate, FillGaps, Lowpass, MovingMean, OneEuro, Resample, Scale, Select
 from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec, grid
 from kinegraph.stream.domain.rotation import RotationSigns, rotations, with_rotations
 from kinegraph.stream.engine.session import Session
@@ -44,11 +44,20 @@ def test_a_spec_can_declare_them_or_deny_them() -> None:
 
 
 @pytest.mark.parametrize(
-    "operator", [OneEuro(), Lowpass(cutoff_hz=5.0), MovingMean(window_s=0.1), Resample(rate_hz=50.0)]
-)
+    "operator",
+    [
+        OneEuro(), Lowpass(cutoff_hz=5.0), MovingMean(window_s=0.1), Resample(rate_hz=50.0), FillGaps(), Scale(offset=1.0),
+        Scale(gain=(1.0, 2.0, 1.0, 1.0)),
+    ],
+)  # fmt: skip
 def test_operators_for_plain_numbers_refuse_rotations(operator: OneEuro) -> None:
     with pytest.raises(InputError, match="qw, qx, qy, qz are a rotation"):
         operator.open({"in": QUATERNION})
+
+
+@pytest.mark.parametrize("operator", [FillGaps(method="hold"), Scale(gain=(1.0, -1.0, -1.0, 1.0)), Scale(gain=0.001)])
+def test_rotations_may_be_held_turned_over_and_scaled_alike(operator: Scale) -> None:
+    operator.open({"in": QUATERNION})
 
 
 @pytest.mark.parametrize("operator", [Decimate(every=2), Select(channels=("qw",))])

@@ -120,6 +120,24 @@ def test_actiwares_exports_in_several_languages(names: list[str], date: str, com
     assert epochs.time[0] == (BEGAN + 12 * 86_400) * NS and len(found["markers"].data) == 1
 
 
+@pytest.mark.parametrize("has_one_column", [True, False])
+def test_motionwares_export_has_days_before_months(has_one_column: bool, tmp_path: Path) -> None:
+    join = " " if has_one_column else ","
+    lines = [
+        "MotionWare Data Export",
+        "Serial Number,M12345",
+        "",
+        f"Date{'/' if has_one_column else ','}Time,Activity,Light",
+    ]
+    lines += [f"01/04/2015{join}{10 + (47 + i) // 60:02d}:{(47 + i) % 60:02d}:01,{i},{i / 2}" for i in range(40)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    found, findings = read(tmp_path / "a.csv")
+    epochs = found["epochs"]
+    assert findings.kinds[tmp_path / "a.csv"] == "MotionWare export" and epochs.spec.channels == ("Activity", "Light")
+    assert epochs.spec.rate_hz == pytest.approx(1 / 60) and epochs.data[3].tolist() == [3, 1.5]
+    assert epochs.time[0] == BEGAN * NS and any("day/month" in doubt for doubt in findings.doubts)
+
+
 def test_a_motionwatch(tmp_path: Path) -> None:
     text = (
         "<log2><change><property><name>=Device</name><content>MW8</content></property><property><name>=StartTime</name>"

@@ -1,4 +1,4 @@
-"""Actiwatch: .AWD files, Actiware's exports (.csv) in several languages; and MotionWatch's .mtn files."""
+"""Actiwatch: .AWD files; exports (.csv) of Actiware, in several languages, and of MotionWare; and MotionWatch's .mtn files."""
 
 from __future__ import annotations
 
@@ -20,8 +20,11 @@ SPELT = {
     "déc": "dec", "mei": "may",
 }  # fmt: skip
 DATES = {"date", "datum", "fecha", "data", "fecha de inicio"}
+MOMENTS = {"date/time", "date time", "datetime", "date & time", "date and time", "timestamp"}
+"""MotionWare may write both in one column."""
 TIMES = {"time", "heure", "zeit", "uhrzeit", "hora", "ora", "tijd"}
 ACTIVITIES = {"activity", "activité", "aktivität", "actividad", "attività", "activiteit", "atividade"}
+ACTIVITIES |= {"activity count", "activity counts", "activity (counts)", "counts", "mw counts", "movement"}
 MARKERS = {"marker", "marqueur", "markierung", "marcador", "marcatore"}
 PASSED_OVER = {"line", "ligne", "zeile", "línea", "linha", "regel", "riga"}
 CODE_S = 15
@@ -73,36 +76,40 @@ def _date(text: str) -> datetime | None:
 
 
 def is_actiware(head: str) -> bool:
-    return ("Actiwatch" in head or "Actiware" in head) and any(_header(line) for line in head.splitlines())
+    program = any(name in head for name in ("Actiwatch", "Actiware", "MotionWatch", "MotionWare"))
+    return program and any(_header(line) for line in head.splitlines())
 
 
 def _header(line: str) -> list[str]:
     """The names of columns, if this line holds those of epochs."""
     names = [cell.strip().strip('"').strip() for cell in line.split(delimiter_of(line, ",;\t"))]
     low = {name.lower() for name in names}
-    return names if low & DATES and low & TIMES and low & ACTIVITIES else []
+    return names if (low & MOMENTS or (low & DATES and low & TIMES)) and low & ACTIVITIES else []
 
 
 def read_actiware(path: Path, asked: Asked) -> Understood:
     """.epochs: activity, light and what else is a number, for each epoch; .markers where the button was pressed. Raises RecordingError."""
-    made, text = Understood(path, "Actiware export", doubts=[UNTRIED]), TextLines.read(path)
+    text = TextLines.read(path)
+    british = any("MotionWa" in line for line in text.lines[:40])
+    made = Understood(path, "MotionWare export" if british else "Actiware export", doubts=[UNTRIED])
     at = next((k for k, line in enumerate(text.lines) if _header(line)), -1)
     if at < 0:
         raise text.wrong(0, "there is no line that names a date, a time and an activity")
     delimiter = delimiter_of(text.lines[at], ",;\t")
     names = _header(text.lines[at])
     low = [name.lower() for name in names]
-    day, clock = (next(k for k, name in enumerate(low) if name in known) for known in (DATES, TIMES))
+    day, clock = (next(k for k, name in enumerate(low) if name in known | MOMENTS) for known in (DATES, TIMES))
     rows = [text.cells(k, delimiter) for k in range(at + 1, len(text.lines)) if text.lines[k].strip(' "\t,;')]
     rows = [row for row in rows if len(row) > max(day, clock) and re.match(r"\d+\D\d+\D\d+", row[day])]
     if not rows:
         raise text.wrong(at, "there are no epochs below this line")
     comma = delimiter != ","
     dates = [[int(n) for n in re.findall(r"\d+", row[day])[:3]] for row in rows]
-    order, doubt = _order(dates, english="date" in low)
+    order, doubt = _order(dates, english="date" in low and not british)
     if doubt:
         made.doubt(doubt)
-    seconds = np.array([_seconds(text, at, date, row[clock], order) for date, row in zip(dates, rows, strict=True)])
+    clocks = [row[clock].partition(" ")[2] if clock == day else row[clock] for row in rows]
+    seconds = np.array([_seconds(text, at, date, time, order) for date, time in zip(dates, clocks, strict=True)])
     passed = {day, clock, *(k for k, name in enumerate(low) if name in PASSED_OVER or not name)}
     numeric = [
         k for k in range(len(names))
