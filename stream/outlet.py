@@ -28,6 +28,7 @@ class Outlet(Operator[S], Generic[S, R]):
     durable    whether the outlet can take its words back: after a crash it is restored to its last snapshot (a file is cut back to the
                length it had) and given again what followed, so that nothing is doubled or missing. One that is not durable, a network,
                hears nothing of what is worked through a second time.
+    closes_last  whether it announces what other outlets write while they close, and so closes after them
     in_order   whether samples of several inputs are brought in global time order. Off, for an outlet that passes on at once what any of
                them says: each input's own order, and no waiting for the others
     """
@@ -36,6 +37,7 @@ class Outlet(Operator[S], Generic[S, R]):
     outputs: ClassVar[tuple[str, ...]] = ()
     is_outlet: ClassVar[bool] = True
     durable: ClassVar[bool] = False
+    closes_last: ClassVar[bool] = False
     in_order: ClassVar[bool] = True
 
     runtime: R

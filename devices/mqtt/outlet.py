@@ -70,6 +70,7 @@ class MqttOutlet(Outlet[MessageQueueState, MqttRuntime]):
 
     inputs = {ANY: Input()}
     durable: ClassVar[bool] = True
+    closes_last: ClassVar[bool] = True
     in_order: ClassVar[bool] = False
 
     entities: dict[str, Entity] = param(help="what is reported, by name")

@@ -13,10 +13,11 @@ WINDOW_S = 30.0
 WINDOW_NS = round(WINDOW_S * NS)
 """Windows are the epochs of `operators.bed.breathing.Breathing`, so that both say the same."""
 STILL_MM_S, CONFIDENT = 20.0, 0.5
-USUAL, USUAL_COUNT, FORGETS = 0.85, 10.0, 0.05
-"""Breath is usually seen where it was in this share of at least this many still windows; how fast old windows are forgotten."""
-LULL = 2
-"""Where it usually is, this many still windows in a row without it leave no evidence of a body."""
+FORGETS = 0.05
+"""How fast old windows are forgotten."""
+LULL, DOUBT = 2, 0.01
+"""At least this many still windows in a row without breath, and as many as a sleeper would have less often than this, leave no evidence of a
+body: 2 where breath was always seen for long, 4 where it was in three windows of four."""
 
 
 @dataclass(slots=True)
@@ -77,5 +78,6 @@ class BreathWatch:
         return True
 
     def silent(self, k: int) -> bool:
-        """Whether nothing breathes any more where breath was usually seen."""
-        return bool(self.count[k] >= USUAL_COUNT and self.share[k] >= USUAL and self.lull[k] >= LULL)
+        """Whether nothing breathes for longer than the sleeper's breath was ever hidden, if it was seen at all."""
+        usual = (self.share[k] * self.count[k] + 1) / (self.count[k] + 2)
+        return bool(self.share[k] and self.count[k] and self.lull[k] >= LULL and (1 - usual) ** self.lull[k] < DOUBT)

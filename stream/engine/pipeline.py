@@ -224,7 +224,7 @@ class Pipeline:
 
     def close(self, settle: Callable[[], None] = lambda: None) -> None:
         """Let every operator emit what is pending, upstream first; `settle` waits for the workers after each."""
-        for stage in self.stages.values():
+        for stage in sorted(self.stages.values(), key=lambda stage: getattr(stage.operator, "closes_last", False)):
             stage.close()
             settle()
 

@@ -21,7 +21,9 @@ from kinegraph.devices.mqtt.link import FIRST_PAUSE_S, Broker
 from kinegraph.devices.mqtt.message_queue import MOST_MESSAGES, MessageQueue, MessageQueueState
 from kinegraph.devices.mqtt.sent_events import SentEvents
 from kinegraph.stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
+from kinegraph.stream.engine.pipeline import Pipeline, Stage
 from kinegraph.stream.errors import KinegraphError, ParameterError
+from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.recording import Recording
 from tests.support import home_assistant
 from tests.support.command_line import KINEGRAPH, Command
@@ -353,6 +355,25 @@ def test_the_end_of_a_stream_is_no_life(tmp_path: Path) -> None:
     with running(made):
         made.process("motion", Chunk(np.array([START]), np.array([[1.0, 2.0]]), FOREVER))
         assert made.runtime.states.sent["camera"][0] == "OFF"
+
+
+def test_home_closes_after_the_log_whatever_the_order_so_that_a_report_drawn_at_the_end_is_announced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    graph = load_text("""
+nodes:
+  walk: {use: devices.people.treadmill.Treadmill}
+  home:
+    use: devices.mqtt.MqttOutlet
+    from: {force: walk.force}
+    broker: {host: ""}
+    entities: {force: {of: force, field: Fz, name: Force}}
+  log: {use: devices.outlets.csv_file.CsvFile, from: walk.force, path: force.csv}
+""")
+    closed: list[str] = []
+    monkeypatch.setattr(Stage, "close", lambda stage: closed.append(stage.node.name))
+    Pipeline(graph, speaking=["home", "log"]).close()
+    assert closed == ["log", "home"]
 
 
 def test_a_broker_that_never_answers_holds_nobody_up() -> None:

@@ -64,6 +64,21 @@ def test_one_that_cannot_go_on_is_put_aside_and_nothing_is_deleted(tmp_path: Pat
     assert (tmp_path / "session.2" / "session.0000.mcap").exists() and (tmp_path / "session.1").exists()
 
 
+@pytest.mark.parametrize(("rolling", "kept"), [("true", False), ("false", True)])
+def test_what_was_put_aside_is_deleted_after_a_month_unless_it_is_a_whole_recording(
+    tmp_path: Path, rolling: str, kept: bool
+) -> None:
+    (tmp_path / "bedside.yaml").write_text(f"recording: {{folder: recordings, rolling: {rolling}}}")
+    for name, age_days in (("session.1", 40), ("session.2", 3)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "session.0000.mcap").touch()
+        then = time.time() - 86_400 * age_days
+        os.utime(tmp_path / name, (then, then))
+    started(tmp_path, checkpoint=True, resumes=2)
+    assert (tmp_path / "session.1").exists() is kept
+    assert (tmp_path / "session.2").exists() and (tmp_path / "session").exists()
+
+
 def test_a_camera_that_is_missing_is_tried_again_by_systemd(tmp_path: Path) -> None:
     assert started(tmp_path, checkpoint=True, resumes=3) == (3, [RESUMED])
     assert (tmp_path / "session" / "checkpoint.npz").exists()
