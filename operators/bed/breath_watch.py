@@ -16,8 +16,8 @@ STILL_MM_S, CONFIDENT = 20.0, 0.5
 FORGETS = 0.05
 """How fast old windows are forgotten."""
 LULL, DOUBT = 2, 0.01
-"""At least this many still windows in a row without breath, and as many as a sleeper would have less often than this, leave no evidence of a
-body: 2 where breath was always seen for long, 4 where it was in three windows of four."""
+"""At least this many still windows in a row without breath, and as many as a sleeper would have less often than this, leave no evidence of
+a body: 2 where breath was always seen for long, 4 where it was in three windows of four."""
 
 
 @dataclass(slots=True)

@@ -28,8 +28,8 @@ STILL, ODD, CAMERA, DARK, MISFIT = 1, 2, 3, 4, 5
 CONFIRMED = 2
 """A region does not fit if it is so in this many stretches after each other, of somebody who lies where he lay."""
 SITS_MM = 300.0
-"""Half of what is seen of who lies is no higher than this (in tilted rooms 110 to 190 mm, of who sits on the edge 360 to 1700): who sits need
-not be within a region."""
+"""Half of what is seen of who lies is no higher than this (in tilted rooms 110 to 190 mm, of who sits on the edge 360 to 1700): who sits
+need not be within a region."""
 MIN_SHARE = 0.05
 """Who covers less of a region that is too large may be a pet."""
 ALIVE = 0.005
