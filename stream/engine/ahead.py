@@ -114,8 +114,10 @@ def compiling_beside(
     parts: Iterable[OperatorType],
     stopped: Callable[[], bool] = bool,
     report: CompilationReport = lambda text, over: None,
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> Iterator[None]:
-    """Within: at the first kernel that is missing, these operators' kernels are compiled by several processes.
+    """Within: at the first kernel that is missing, these operators' kernels are compiled by several processes, while this one calls
+    `meanwhile`.
 
     Raises Interrupted once `stopped`.
     """
@@ -126,7 +128,7 @@ def compiling_beside(
         state.start()
         lacking = sorted(state.seconds, key=lambda part: -state.seconds[part])
         if _saves_s(list(state.seconds.values())) >= WORTH_S:
-            compile_operators(lacking, stopped)
+            compile_operators(lacking, stopped, meanwhile)
 
     try:
         with at_first_miss(begin):
@@ -148,8 +150,13 @@ def process_count() -> int:
     return max(1, min(len(os.sched_getaffinity(0)), machine() // (PROCESS_MB << 20) or 1))
 
 
-def compile_operators(parts: Sequence[OperatorType], stopped: Callable[[], bool] = bool) -> None:
-    """Run these operators' cases in processes of their own, in this order; what a process leaves when it dies is left."""
+def compile_operators(
+    parts: Sequence[OperatorType], stopped: Callable[[], bool] = bool, meanwhile: Callable[[], None] = lambda: None
+) -> None:
+    """Run these operators' cases in processes of their own, in this order; what a process leaves when it dies is left.
+
+    `meanwhile` is called in this one; what fails in it fails again, and is reported, in the warm-up.
+    """
     waiting: SimpleQueue[str] = SimpleQueue()
     for part in parts:
         waiting.put(f"{part.__module__}:{part.__qualname__}")
@@ -158,6 +165,8 @@ def compile_operators(parts: Sequence[OperatorType], stopped: Callable[[], bool]
     try:
         for thread in threads:
             thread.start()
+        with suppress(Exception):
+            meanwhile()
         for thread in threads:
             while thread.is_alive():
                 thread.join(LOOK_S)

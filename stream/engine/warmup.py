@@ -37,6 +37,7 @@ from kinegraph.stream.errors import (
 from kinegraph.stream.graph import Graph, Node
 from kinegraph.stream.graph import components as parts
 from kinegraph.stream.operator import Emitted, Operator, grid
+from kinegraph.stream.recording.format.overview import overview_of
 from kinegraph.stream.source import Source
 
 SAMPLES = 64
@@ -52,17 +53,34 @@ def warm_up(
     `stopped` is asked between two nodes. Raises GraphError where an operator breaks its specs' promises, Interrupted once `stopped`: a
     compiler may turn Ctrl-C into another error, or swallow it.
     """
-    timing = Timing()
-    timing.durations.append(1)
-    timing.read()
-    soundness(StreamSpec(()))(empty(StreamSpec(()), NS))
-    with compiling_beside(tried(pipeline.graph), stopped, report):
+    graph = pipeline.graph
+
+    def meanwhile() -> None:
+        _run_engine(graph)
+        for node in graph.sources:
+            if isinstance(node.part, Source):
+                node.part.prepare()
+
+    with compiling_beside(tried(graph), stopped, report, meanwhile):
+        _run_engine(graph)
         _warm_up(pipeline, stopped)
 
 
 def tried(graph: Graph) -> set[type[Operator[Any]]]:
     """The operators that a warm-up tries."""
     return {type(node.part) for node in graph.nodes.values() if isinstance(node.part, Operator) and not node.is_outlet}
+
+
+def _run_engine(graph: Graph) -> None:
+    """The engine's own kernels: those of its figures, of what it admits, and of what it records."""
+    timing = Timing()
+    timing.durations.append(1)
+    timing.read()
+    soundness(StreamSpec(()))(empty(StreamSpec(()), NS))
+    if graph.recorded_in:
+        for node in graph.sources:
+            for spec in node.specs.values():
+                overview_of(spec, "whole")
 
 
 def _warm_up(pipeline: Pipeline, stopped: Callable[[], bool]) -> None:

@@ -195,6 +195,18 @@ def test_a_process_that_cannot_be_started_is_no_fault(monkeypatch: pytest.Monkey
     ahead.compile_operators([Lowpass])
 
 
+def test_this_process_compiles_too_and_may_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[bool] = []
+
+    def meanwhile() -> None:
+        called.append(True)
+        raise ValueError("reported by the warm-up")
+
+    monkeypatch.setattr(ahead, "_process", lambda: None)
+    ahead.compile_operators([Lowpass], meanwhile=meanwhile)
+    assert called
+
+
 def counted(monkeypatch: pytest.MonkeyPatch, sizes: Sequence[int]) -> list[SimpleNamespace]:
     """Kernels of these sizes, none of them compiled."""
     made = [SimpleNamespace(_cache=SimpleNamespace(is_kept=False), size=size) for size in sizes]
