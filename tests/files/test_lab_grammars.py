@@ -126,6 +126,14 @@ def test_a_time_column_is_believed_before_a_rate(tmp_path: Path) -> None:
     assert "the file says 250 Hz, but its times are 0.04 s apart" in doubts(findings)
 
 
+def test_markers_saved_again_with_decimal_commas_are_the_same(tmp_path: Path) -> None:
+    points = read(tmp_path / "m.trc", made.TRC.replace("\t250", "\t25.0"))[0]["markers"]
+    commas = read(tmp_path / "m.trc", made.TRC.replace("\t250", "\t25.0").replace(".", ","))[0]["markers"]
+    assert np.array_equal(points.data, commas.data, equal_nan=True) and points.spec == commas.spec
+    with pytest.raises(RecordingError, match=r"is no number; save the file with decimal points"):
+        read(tmp_path / "m.mot", made.STORAGE.replace(".", ","))
+
+
 def test_storage_of_three_kinds(tmp_path: Path) -> None:
     found, findings = read(tmp_path / "grf.mot", made.STORAGE)
     assert found["values"].spec.channels == (

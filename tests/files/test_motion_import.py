@@ -162,6 +162,13 @@ def test_a_broken_bvh_file_is_named_by_its_line(tmp_path, old, new, message):
         read_bvh(written(tmp_path, "walk.bvh", BVH.replace(old, new)))
 
 
+def test_a_bvh_file_saved_again_with_decimal_commas_is_the_same(tmp_path):
+    text = BVH.replace("10 20 30 40", "10.5 20.25 30 40")
+    points = read_bvh(written(tmp_path, "walk.bvh", text))
+    commas = read_bvh(written(tmp_path, "walk.bvh", text.replace(".", ",")))
+    assert all(np.array_equal(a.data, b.data) for a, b in zip(points, commas, strict=True))
+
+
 def test_bvh_cut_anywhere_is_read_or_refused(tmp_path):
     for end in range(0, len(BVH) - 1, 7):
         with pytest.raises(RecordingError, match=r"cut\.bvh"):

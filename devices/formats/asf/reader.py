@@ -258,7 +258,9 @@ def _whole(path: Path, begun: int, row: list[float], names: list[tuple[str, str]
 
 def _numbers(where: str, words: list[str], count: int) -> list[float]:
     try:
-        made = [float(word) for word in words]
+        made = [
+            float(word.replace(",", ".")) for word in words
+        ]  # words have blanks between them: a comma is a decimal one
     except ValueError:
         made = []
     if len(made) != count or not all(map(math.isfinite, made)):

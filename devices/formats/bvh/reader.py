@@ -175,7 +175,9 @@ def _channels(where: str, words: list[str]) -> list[str]:
 
 def _numbers(where: str, words: list[str], count: int, what: str) -> list[float]:
     try:
-        made = [float(word) for word in words]
+        made = [
+            float(word.replace(",", ".")) for word in words
+        ]  # words have blanks between them: a comma is a decimal one
     except ValueError:
         made = []
     if len(made) != count or not np.isfinite(made).all():

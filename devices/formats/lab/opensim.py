@@ -34,7 +34,7 @@ def read_trc(path: Path, asked: Asked) -> Understood:
     if [cell.lower() for cell in head[:2]] != ["frame#", "time"]:
         raise text.wrong(at + 3, "the columns must begin with Frame# and Time")
     names = [cell for cell in head[2:] if cell]
-    count = int(float(facts["NumMarkers"])) if is_number(facts.get("NumMarkers", "")) else len(names)
+    count = int(float(facts["NumMarkers"].replace(",", "."))) if is_number(facts.get("NumMarkers", "")) else len(names)
     lines = [i for i in range(at + 5, len(text.lines)) if text.lines[i].strip()]
     if count != len(names):
         columns = max((len(text.lines[i].rstrip().split("\t")) for i in lines), default=0)
@@ -43,14 +43,15 @@ def read_trc(path: Path, asked: Asked) -> Understood:
             f"{count} markers are announced, {len(names)} are named, {held} are there; those without a name are numbered"
         )
         names += [f"marker{k + 1}" for k in range(len(names), held)]
+    width, comma = 2 + 3 * len(names), any("," in text.lines[i] for i in lines)
     data = np.concatenate(
-        [text.table(i, "\t", 2 + 3 * len(names), stop=i + 1) for i in lines] or [np.empty((0, 2 + 3 * len(names)))]
+        [text.table(i, "\t", width, stop=i + 1, comma=comma) for i in lines] or [np.empty((0, width))]
     )
     frames = facts.get("NumFrames", "")
-    if is_number(frames) and int(float(frames)) != len(data):
+    if is_number(frames, comma=False) and int(float(frames)) != len(data):
         made.doubt(f"{frames} frames are announced, {len(data)} are there")
     points = np.ascontiguousarray(data[:, 2:].reshape(len(data), len(names), 3))
-    rate = float(facts["DataRate"]) if is_number(facts.get("DataRate", "")) else None
+    rate = float(facts["DataRate"].replace(",", ".")) if is_number(facts.get("DataRate", "")) else None
     spec = {"channels": names, "units": (unit_of(facts.get("Units", "") or asked.unit),)}
     made.add_timed("markers", data[:, 1], points, (lines or [0])[0] + 1, asked, rate_hz=rate, **spec)
     return made

@@ -135,7 +135,8 @@ class TextLines:
                 raise ValueError
             return float(text.replace(",", ".") if comma else text)
         except ValueError:
-            raise self.wrong(at, f"{text!r} is no number") from None
+            hint = "; save the file with decimal points" if not comma and is_number(text) else ""
+            raise self.wrong(at, f"{text!r} is no number{hint}") from None
 
 
 def is_number(cell: str, *, comma: bool = True) -> bool:
