@@ -6,9 +6,9 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from kinegraph.devices.natnet.numbers import numbers
+from kinegraph.devices.natnet.numbers import WANTED, numbers
 from kinegraph.devices.natnet.protocol import NatNetModels
-from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.chunk import Array, Samples
 from kinegraph.stream.errors import DeviceError, nearest
 
 T = TypeVar("T")
@@ -46,12 +46,12 @@ class NatNetNames:
         for name in of.analog:
             kind, number, channel = _find(channels, name, "analog channel")
             wanted.append((KINDS.index(kind), number, channel))
-        self._wanted = np.array(wanted, np.int64)
+        self._wanted = np.array(wanted, WANTED)
         b, m = len(of.bodies), len(of.markers)
         self._shapes = (1, b, 3), (1, b, 4), (1, m, 3), (of.analog_samples, len(of.analog))
         self._outputs = [(OUTPUTS.index(name), name) for name in of.outputs if name in OUTPUTS]
 
-    def rows(self, payload: bytes, sized: bool, head: Times) -> list[tuple[str, Samples]] | None:
+    def rows(self, payload: bytes, sized: bool, head: Array) -> list[tuple[str, Samples]] | None:
         """By output, its samples in a frame; None if it is cut off, or has no valid time. `head` as `natnet_numbers.numbers` has it."""
         made = positions, rotations, points, analog = [np.empty(shape) for shape in self._shapes]
         data = np.frombuffer(payload, np.uint8)

@@ -10,38 +10,36 @@ from numpy.typing import NDArray
 
 from kinegraph.devices.mti.xbus_numbers import Bytes
 from kinegraph.devices.natnet.protocol import OCCLUDED
-from kinegraph.stream.chunk import Samples, Times
+from kinegraph.stream.chunk import Array, Samples
 from kinegraph.stream.kernel import kernel
 
 BODY_BYTES, MARKER_BYTES, POINT_BYTES = 38, 26, 12
 TIMECODE_BYTES, PRECISE_BYTES = 8, 8
 LONGEST_S = 9e9
 """No server runs for longer: a time beyond is garbled."""
-NUMBER, TIME_NS, TICKS, FLAGS = 0, 1, 2, 3
-HEAD = 4
-
-
-OF, ID, PART = 0, 1, 2
-"""Columns of the table of what is wanted. Of a body: the id of its skeleton (0: no skeleton), its own id; of a marker: the id of its model,
+HEAD = np.dtype([("number", "<i8"), ("time_ns", "<i8"), ("ticks", "<i8"), ("flags", "<i8")])
+"""A frame's number, the server's time, the middle of the exposure, and what is set of `natnet.protocol`'s flags."""
+WANTED = np.dtype([("of", "<i8"), ("id", "<i8"), ("part", "<i8")])
+"""A row of the table of what is wanted. Of a body: the id of its skeleton (0: no skeleton), its own id; of a marker: the id of its model,
 its number; of a channel: 0 (of a force plate) or 1 (of a device), the id of that, the channel's number."""
 
 
 @kernel
 def numbers(
-    data: Bytes, sized: bool, wanted: Times, positions: Samples, rotations: Samples, points: Samples, analog: Samples, head: Times
+    data: Bytes, sized: bool, wanted: Array, positions: Samples, rotations: Samples, points: Samples, analog: Samples, head: Array
 ) -> bool:  # fmt: skip
     """Read a frame's payload (n,); False: it is cut off, or has no valid time.
 
     sized      whether each section says how long it is (from version 4.1 on)
-    wanted     (b + m + c, 3)  bodies, markers, channels, in the order of the rows that they go to
+    wanted     (b + m + c,)  bodies, markers, channels, in the order of the rows that they go to
     positions  (1, b, 3) m; rotations (1, b, 4) as w, x, y, z; points (1, m, 3) m; analog (samples, c); NaN where the frame has nothing
-    head       (HEAD,) the frame's number, the server's time (ns), the middle of the exposure (ticks), flags
+    head       (1,)  see HEAD
     """
     word, at = np.zeros(1, np.uint32), 4
     positions[:], rotations[:], points[:], analog[:] = np.nan, np.nan, np.nan, np.nan
     if len(data) < 4:
         return False
-    head[NUMBER] = _whole(data, 0, 4)
+    head[0]["number"] = _whole(data, 0, 4)
     for section in range(2):  # sets of markers by name; unlabelled ones
         n, at, end = _section(data, at, sized)
         most = end - at if sized else len(data)
@@ -153,7 +151,7 @@ def _section(data: Bytes, at: int, sized: bool) -> tuple[int, int, int]:
 
 @kernel
 def _bodies(
-    data: Bytes, at: int, end: int, skeleton: int, n: int, wanted: Times, positions: Samples, rotations: Samples, word: NDArray[np.uint32]
+    data: Bytes, at: int, end: int, skeleton: int, n: int, wanted: Array, positions: Samples, rotations: Samples, word: NDArray[np.uint32]
 ) -> int:  # fmt: skip
     """Place those of `n` bodies that are wanted and tracked; returns where they end, -1: they do not."""
     after = _behind(at, end, n * BODY_BYTES)
@@ -165,7 +163,7 @@ def _bodies(
         body = _whole(data, begin, 4)
         body = body & 0xFFFF if skeleton else body
         for row in range(positions.shape[1]):
-            if wanted[row, OF] == skeleton and wanted[row, ID] == body:
+            if wanted[row]["of"] == skeleton and wanted[row]["id"] == body:
                 for k in range(3):
                     positions[0, row, k] = _real(data, begin + 4 + 4 * k, word)
                 for k in range(4):
@@ -174,20 +172,20 @@ def _bodies(
 
 
 @kernel
-def _marker(data: Bytes, at: int, wanted: Times, first: int, points: Samples, word: NDArray[np.uint32]) -> None:
+def _marker(data: Bytes, at: int, wanted: Array, first: int, points: Samples, word: NDArray[np.uint32]) -> None:
     """Place a marker if it is wanted and seen."""
     if data[at + 20] & OCCLUDED:
         return
     both = _whole(data, at, 4)
     for row in range(points.shape[1]):
-        if wanted[first + row, OF] == both >> 16 and wanted[first + row, ID] == both & 0xFFFF:
+        if wanted[first + row]["of"] == both >> 16 and wanted[first + row]["id"] == both & 0xFFFF:
             for k in range(3):
                 points[0, row, k] = _real(data, at + 4 + 4 * k, word)
 
 
 @kernel
 def _channels(
-    data: Bytes, at: int, end: int, most: int, kind: int, wanted: Times, analog: Samples, word: NDArray[np.uint32]
+    data: Bytes, at: int, end: int, most: int, kind: int, wanted: Array, analog: Samples, word: NDArray[np.uint32]
 ) -> int:
     """Place the wanted channels of one force plate or device; returns where it ends, -1: it does not."""
     n = _count(data, at + 4, end, most)
@@ -200,7 +198,7 @@ def _channels(
         if after < 0:
             return -1
         for row in range(first, len(wanted)):
-            if wanted[row, OF] == kind and wanted[row, ID] == number and wanted[row, PART] == channel:
+            if wanted[row]["of"] == kind and wanted[row]["id"] == number and wanted[row]["part"] == channel:
                 for i in range(min(samples, len(analog))):
                     analog[i, row - first] = _real(data, at + 4 + 4 * i, word)
         at = after
@@ -208,7 +206,7 @@ def _channels(
 
 
 @kernel
-def _tail(data: Bytes, at: int, more: int, head: Times) -> bool:
+def _tail(data: Bytes, at: int, more: int, head: Array) -> bool:
     """The times at a frame's end, and its flags behind `more` bytes; False: it is cut off, or has no valid time."""
     if at + 32 + more + 2 > len(data):
         return False
@@ -217,13 +215,13 @@ def _tail(data: Bytes, at: int, more: int, head: Times) -> bool:
     seconds = double.view(np.float64)[0]
     if not abs(seconds) < LONGEST_S:
         return False
-    head[TIME_NS], head[TICKS] = np.int64(np.rint(seconds * 1e9)), _whole(data, at + 8, 8)
-    head[FLAGS] = _whole(data, at + 32 + more, 2)
+    head[0]["time_ns"], head[0]["ticks"] = np.int64(np.rint(seconds * 1e9)), _whole(data, at + 8, 8)
+    head[0]["flags"] = _whole(data, at + 32 + more, 2)
     return True
 
 
 def prepare() -> None:
     """Compile it, or take it from the cache."""
     bodies, turns, points, analog = np.zeros((1, 0, 3)), np.zeros((1, 0, 4)), np.zeros((1, 0, 3)), np.zeros((1, 0))
-    data, wanted = np.frombuffer(bytes(4), np.uint8), np.zeros((0, 3), np.int64)
-    numbers(data, False, wanted, bodies, turns, points, analog, np.zeros(HEAD, np.int64))
+    data, wanted = np.frombuffer(bytes(4), np.uint8), np.zeros(0, WANTED)
+    numbers(data, False, wanted, bodies, turns, points, analog, np.zeros(1, HEAD))

@@ -234,7 +234,7 @@ class NatNetReading:
         self.stamps = Stamps(of.rate_hz, counter_bits=32, has_time=True, latency_s=of.latency_s)
         self._rate = RateCheck(f"NatNet {of.server}", of.rate_hz, of.rate_mismatch, counted=True)
         self._names: NatNetNames | None = None
-        self._head = np.zeros(HEAD, np.int64)
+        self._head = np.zeros(1, HEAD)
         self._asked = 0.0
         self._last = 0
 
@@ -258,7 +258,7 @@ class NatNetReading:
         if rows is None:
             feed.problem("cut message")
             return
-        number, time_ns, ticks, flags = self._head.tolist()
+        number, time_ns, ticks, flags = self._head[0].item()
         if flags & protocol.MODELS_CHANGED:
             self._ask_for_models()
         ns = round(ticks * NS / self._info.tick_hz) if ticks and self._info.tick_hz else time_ns

@@ -19,53 +19,47 @@ from kinegraph.stream.params import param
 
 NEWTONS = {"N": 1.0, "kN": 1000.0}
 UNKNOWN, FREE, PRESSED = -1, 0, 1
-LEVEL, ABOVE, SINCE, DEEP, LAST = range(5)
+PRESS = np.dtype(
+    [("level", "<i8"), ("above", "<i8"), ("since", "<i8"), ("deep", "<i8"), ("last", "<i8"), ("load", "<f8")]
+)
+"""The level now (-1: not known), whether the last load was above `on`, since when, whether it reached `off`; its stamp, and the load."""
 
 
 @kernel
 def presses(
-    time: Times,
-    load: Samples,
-    on: float,
-    off: float,
-    hold_ns: int,
-    gap_ns: int,
-    memory: Times,
-    last: Samples,
-    found: Times,
+    time: Times, load: Samples, on: float, off: float, hold_ns: int, gap_ns: int, memory: Array, found: Times
 ) -> tuple[int, int]:
     """Follow `load` (n,): pressed once it has stayed at or above `on` for `hold_ns`, free once it has stayed below and reached `off`.
 
     Both onsets are where the straight line between two samples crosses `on`. Loads that are not finite are passed over.
 
-    memory (5,)   the level now (-1: not known), whether the last load was above `on`, since when, whether it reached `off`, its stamp
-    last   (1,)   the last load
+    memory (1,)   see PRESS
     found  (2, 2 n + 2, 2)   presses and releases: stamp, onset. Returns how many of each.
     """
-    downs = ups = 0
+    seen, downs, ups = memory[0], 0, 0
     for i in range(time.shape[0]):
         value, at = load[i], time[i]
         if not np.isfinite(value):
             continue
         above = 1 if value >= on else 0
-        if memory[LAST] == NEVER or at - memory[LAST] > gap_ns:
-            memory[LEVEL], memory[ABOVE], memory[SINCE], memory[DEEP] = UNKNOWN, above, at, 0
-        elif above != memory[ABOVE]:
-            share = (on - last[0]) / (value - last[0])
-            memory[ABOVE], memory[DEEP] = above, 0
-            memory[SINCE] = memory[LAST] + int(share * (at - memory[LAST]))
+        if seen["last"] == NEVER or at - seen["last"] > gap_ns:
+            seen["level"], seen["above"], seen["since"], seen["deep"] = UNKNOWN, above, at, 0
+        elif above != seen["above"]:
+            share = (on - seen["load"]) / (value - seen["load"])
+            seen["above"], seen["deep"] = above, 0
+            seen["since"] = seen["last"] + int(share * (at - seen["last"]))
         if value <= off:
-            memory[DEEP] = 1
-        memory[LAST], last[0] = at, value
-        if above == memory[LEVEL] or at - memory[SINCE] < hold_ns or not (above or memory[DEEP]):
+            seen["deep"] = 1
+        seen["last"], seen["load"] = at, value
+        if above == seen["level"] or at - seen["since"] < hold_ns or not (above or seen["deep"]):
             continue
-        if memory[LEVEL] != UNKNOWN and above:
-            found[0, downs, 0], found[0, downs, 1] = at, memory[SINCE]
+        if seen["level"] != UNKNOWN and above:
+            found[0, downs, 0], found[0, downs, 1] = at, seen["since"]
             downs += 1
-        elif memory[LEVEL] != UNKNOWN:
-            found[1, ups, 0], found[1, ups, 1] = at, memory[SINCE]
+        elif seen["level"] != UNKNOWN:
+            found[1, ups, 0], found[1, ups, 1] = at, seen["since"]
             ups += 1
-        memory[LEVEL] = above
+        seen["level"] = above
     return downs, ups
 
 
@@ -73,8 +67,7 @@ def presses(
 class PressState(Followed):
     picked: Times
     sign: float
-    memory: Times
-    load: Samples
+    memory: Array
     others: Times
     zero: Array
     block: int
@@ -96,8 +89,7 @@ class _Press(Contacts[PressState]):
             last=NEVER,
             picked=np.array(picked),
             sign=-gain if self.inverted else gain,
-            memory=np.array([UNKNOWN, 0, 0, 0, NEVER]),
-            load=np.zeros(1),
+            memory=np.array([(UNKNOWN, 0, 0, 0, NEVER, 0.0)], PRESS),
             others=np.array(others, np.int64),
             zero=np.zeros(1, ZERO),
             block=max(2, round(BLOCK_S * (spec.rate_hz or 100.0))),
@@ -107,9 +99,7 @@ class _Press(Contacts[PressState]):
 
     def run(self, time: Times, load: Samples, threshold: float, hysteresis: float, found: Times) -> tuple[int, int]:
         state, hold_ns = self.state, round(self.debounce_s * NS)
-        return presses(
-            time, load, threshold, threshold - hysteresis, hold_ns, state.gap_ns, state.memory, state.load, found
-        )
+        return presses(time, load, threshold, threshold - hysteresis, hold_ns, state.gap_ns, state.memory, found)
 
 
 @dataclass(frozen=True, slots=True)

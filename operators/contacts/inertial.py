@@ -14,6 +14,7 @@ from kinegraph.operators.contacts.legs import (
     BY_SIZE,
     LEGS,
     LIFTOFF,
+    LIMITS,
     LONGEST_NS,
     TOUCHDOWN,
     glide,
@@ -107,7 +108,7 @@ def bout(turn: np.void, at: int, dt: float, speed: float) -> bool:
 def follow(
     time: Times,
     rate: Samples,
-    limits: Samples,
+    limits: Array,
     shifts: Times,
     voting: int,
     gap_ns: int,
@@ -139,7 +140,7 @@ def follow(
         speed = speed - DEAD_RAD_S if speed > DEAD_RAD_S else speed + DEAD_RAD_S if speed < -DEAD_RAD_S else 0.0
         glide(legs, last, at, turn["speed"], speed)
         turn["speed"] = speed
-        certain = judge(legs, at, limits, voting)
+        certain = judge(legs, at, limits[0], voting)
         if certain & LIFTOFF:
             found[1, ups, 0], found[1, ups, 1] = at, legs["liftoff_at"] + shifts[1]
             ups += 1
@@ -159,7 +160,7 @@ def follow(
 class InertialState(Followed):
     picked: Times
     radians: float
-    limits: Samples
+    limits: Array
     shifts: Times
     voting: int
     memory: Array
@@ -215,7 +216,7 @@ class InertialContacts(Contacts[InertialState]):
             last=NEVER,
             picked=np.array(picked),
             radians=RADIANS[unit],
-            limits=np.array([SWING_RAD, STANCE_RAD, REVERSE_RAD, STILL_NS, shifts[0]]),
+            limits=np.array([(SWING_RAD, STANCE_RAD, REVERSE_RAD, STILL_NS, shifts[0])], LIMITS),
             shifts=np.array(shifts),
             voting=BY_SIZE if foot else BY_ENERGY,
             memory=np.zeros(1, LEGS),

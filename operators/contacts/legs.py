@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from kinegraph.stream.chunk import Samples
 from kinegraph.stream.kernel import kernel
 
 LEGS = np.dtype(
@@ -35,7 +34,9 @@ LEGS = np.dtype(
 the vote on polarity: positive where the swing runs towards positive coordinates, and the onsets of the last contacts. Times are ns."""
 
 LIFTOFF, TOUCHDOWN = 1, 2
-SWING, STANCE, REVERSE, STILL, WAIT = range(5)
+LIMITS = np.dtype([("swing", "<f8"), ("stance", "<f8"), ("reverse", "<f8"), ("still_ns", "<f8"), ("wait_ns", "<f8")])
+"""How long a swing and the leg before it must be, by how much a turn must come back to be certain, after how many ns without progress a
+limb is at rest, and how many ns old a turn must be."""
 NO_VOTE, SURE, BY_SIZE, BY_ENERGY = range(4)
 FORGET = 0.97
 """What a leg's vote keeps with each later leg."""
@@ -71,11 +72,13 @@ def glide(legs: np.void, since: int, at: int, before: float, now: float) -> None
 
 
 @kernel
-def over(legs: np.void, at: int, limits: Samples) -> bool:
+def over(legs: np.void, at: int, limits: np.void) -> bool:
     """Whether the leg under way has ended: the coordinate has come back from its extreme, or has not gone on for a while."""
     back = (legs["extreme"] - legs["coordinate"]) * legs["direction"]
     age = at - legs["extreme_at"]
-    return bool(legs["direction"] != 0 and age >= limits[WAIT] and (back > limits[REVERSE] or age > limits[STILL]))
+    return bool(
+        legs["direction"] != 0 and age >= limits["wait_ns"] and (back > limits["reverse"] or age > limits["still_ns"])
+    )
 
 
 @kernel
@@ -91,37 +94,36 @@ def swings(legs: np.void, swing: float, stance: float) -> bool:
 
 
 @kernel
-def judge(legs: np.void, at: int, limits: Samples, voting: int) -> int:
+def judge(legs: np.void, at: int, limits: np.void, voting: int) -> int:
     """Judge the leg under way at the time `at`; returns which contacts are now certain: LIFTOFF and TOUCHDOWN, added up.
 
     A lift-off is certain as soon as the swing is long enough, and its onset is where the leg began; a touch-down once the
     swing is over, and its onset is the swing's extreme. So every touch-down has its lift-off before it; but where the caller
     is sure of the polarity, the first leg of all may be a swing with an unseen start.
 
-    limits  (5,)  how long a swing and the leg before it must be, by how much a turn must come back to be certain,
-                  after how many ns without progress a limb is at rest, and how many ns old a turn must be
-    voting        NO_VOTE or SURE: the caller votes; BY_SIZE, BY_ENERGY: a leg that is over counts for the swing running its
-                  way by its size squared, or that per second
+    limits  see LIMITS
+    voting  NO_VOTE or SURE: the caller votes; BY_SIZE, BY_ENERGY: a leg that is over counts for the swing running its way by its size
+            squared, or that per second
     """
     certain = 0
     ends = over(legs, at, limits)
     size = abs(legs["extreme"] - legs["start"])
-    if ends and voting >= BY_SIZE and size > limits[REVERSE]:
+    if ends and voting >= BY_SIZE and size > limits["reverse"]:
         weight = size * size
         if voting == BY_ENERGY:
             weight /= max(1e-9 * (legs["extreme_at"] - legs["start_at"]), 0.05)
         legs["vote"] = FORGET * legs["vote"] + legs["direction"] * weight
-    if not legs["reported"] and swings(legs, limits[SWING], limits[STANCE]):
+    if not legs["reported"] and swings(legs, limits["swing"], limits["stance"]):
         legs["reported"] = 1
         legs["liftoff_at"] = legs["before_at"]
         certain += LIFTOFF
-    if ends and voting == SURE and legs["before_direction"] == 0 and size > limits[SWING]:
+    if ends and voting == SURE and legs["before_direction"] == 0 and size > limits["swing"]:
         legs["reported"] = 1 if legs["direction"] * legs["vote"] > 0.0 else 0
     if ends:
         if legs["reported"]:
             legs["touchdown_at"] = legs["extreme_at"]
             certain += TOUCHDOWN
-        next_leg(legs, at, limits[REVERSE])
+        next_leg(legs, at, limits["reverse"])
     return certain
 
 

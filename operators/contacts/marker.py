@@ -10,7 +10,7 @@ import numpy as np
 import structlog
 
 from kinegraph.operators.contacts.contacts import Contacts, Followed
-from kinegraph.operators.contacts.legs import LEGS, LONGEST_NS
+from kinegraph.operators.contacts.legs import LEGS, LIMITS, LONGEST_NS
 from kinegraph.operators.contacts.path import MEMORY_S, WALK, follow
 from kinegraph.operators.filters.iir import butterworth, group_delay, settling, steady_memory
 from kinegraph.operators.inputs.directions import HELP, right_handed_up
@@ -41,7 +41,7 @@ class MarkerState(Followed):
     sos: Samples
     steady: Samples
     z: Samples
-    limits: Samples
+    limits: Array
     memory: Array
     motion: Array
     warned: bool
@@ -104,7 +104,7 @@ class MarkerContacts(Contacts[MarkerState]):
             sos=sos,
             steady=steady_memory(sos),
             z=np.zeros((6, len(sos), 2)),
-            limits=np.array([SWING_M, STANCE_M, REVERSE_M, STILL_NS, 0.0]),
+            limits=np.array([(SWING_M, STANCE_M, REVERSE_M, STILL_NS, 0.0)], LIMITS),
             memory=np.zeros(1, LEGS),
             motion=np.zeros(1, WALK),
             warned=False,

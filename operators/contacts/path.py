@@ -127,7 +127,7 @@ def advance(
     alone: bool,
     sos: Samples,
     z: Samples,
-    limits: Samples,
+    limits: Array,
 ) -> int:
     """Take the raw place of both markers at the time `at`, `since` being the one before; returns which contacts are now certain."""
     step = np.empty(6)
@@ -143,7 +143,7 @@ def advance(
     if walk["middle"] != NEVER:
         glide(legs, walk["middle"], middle, walk["speed"], speed)
     walk["middle"], walk["speed"] = middle, speed
-    return judge(legs, middle, limits, SURE if abs(going) > 1.0 and not alone else NO_VOTE)
+    return judge(legs, middle, limits[0], SURE if abs(going) > 1.0 and not alone else NO_VOTE)
 
 
 @kernel
@@ -155,7 +155,7 @@ def follow(
     sos: Samples,
     steady: Samples,
     z: Samples,
-    limits: Samples,
+    limits: Array,
     memory: Array,
     motion: Array,
     found: Times,

@@ -12,19 +12,19 @@ from kinegraph.stream.domain.alarm import ON
 WRONG = ("cadence", "contacts", "muscles work half a cycle off")
 """What alarms begin with that contradict contacts: steps missed or found twice (`CycleWatch`), shifted, the other leg's (`TimingWatch`)."""
 SPANS = 64
-LIMB, KIND, BEGIN, END = range(4)
+SPAN = np.dtype([("limb", "<i8"), ("kind", "<i8"), ("begin", "<i8"), ("end", "<i8")])
 
 
 @dataclass(slots=True)
 class ContactSpans:
-    """spans (64, 4)   the latest spans, a ring: limb, which of `WRONG`, begin, end (FOREVER: it lasts);  seen: in all"""
+    """spans (64,)   the latest spans, a ring: limb, which of `WRONG`, begin, end (FOREVER: it lasts);  seen: in all"""
 
-    spans: Times
+    spans: Array
     seen: int
 
     @staticmethod
     def empty() -> ContactSpans:
-        return ContactSpans(np.zeros((SPANS, 4), np.int64), 0)
+        return ContactSpans(np.zeros(SPANS, SPAN), 0)
 
     def note(self, row: np.void, limb: int) -> int | None:
         """Take an alarm about a limb's contacts; returns from when on cycles change, None if the alarm is about something else."""
@@ -32,9 +32,9 @@ class ContactSpans:
         if kind is None:
             return None
         kept, onset = self.spans[: min(self.seen, SPANS)], int(row["onset"])
-        lasting = (kept[:, LIMB] == limb) & (kept[:, KIND] == kind) & (kept[:, END] == FOREVER)
+        lasting = (kept["limb"] == limb) & (kept["kind"] == kind) & (kept["end"] == FOREVER)
         if row["state"] != ON:
-            kept[lasting, END] = np.maximum(kept[lasting, BEGIN], onset)
+            kept["end"][lasting] = np.maximum(kept["begin"][lasting], onset)
         elif not lasting.any():
             self.spans[self.seen % SPANS] = limb, kind, onset, FOREVER
             self.seen += 1
@@ -43,7 +43,7 @@ class ContactSpans:
     def hold(self, limb: int, onset: int, end: int) -> bool:
         """Whether a limb's cycle touches one of them: the cycles at both edges lie across the change."""
         kept = self.spans[: min(self.seen, SPANS)]
-        return bool(((kept[:, LIMB] == limb) & (kept[:, BEGIN] <= end) & (kept[:, END] >= onset)).any())
+        return bool(((kept["limb"] == limb) & (kept["begin"] <= end) & (kept["end"] >= onset)).any())
 
 
 def changed_at(scores: Samples) -> int:

@@ -15,13 +15,13 @@ from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 RECENT, LATEST = 11, 3
-SILENT, SLOW, SPARSE, UNEVEN = range(4)
-ADVICE = (
-    "is somebody walking? see the contact sensor, zero the plate, look at its threshold",
-    "steps may be missed, or found twice: see the contact sensor and its threshold",
-    "see why cycles are rejected or not found, before the session goes on",
-    "either the person walks so, or contacts are found early and late: see the contact sensor",
-)
+ADVICE = {
+    "silent": "is somebody walking? see the contact sensor, zero the plate, look at its threshold",
+    "slow": "steps may be missed, or found twice: see the contact sensor and its threshold",
+    "sparse": "see why cycles are rejected or not found, before the session goes on",
+    "uneven": "either the person walks so, or contacts are found early and late: see the contact sensor",
+}
+ALARMS = np.dtype([(kind, "?") for kind in ADVICE])
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class CycleWatchState:
     began, newest   the signal's first and newest stamp;  heard: the stamp of the latest cycle
     durations (11,) of the latest cycles in ns, while their pace is not in question, a ring; `measured` in all
     latest, onsets (3,)   the duration and begin of the latest of all cycles
-    covered         how much of the session lies in accepted cycles, ns;  on (4,): which alarms there are
+    covered         how much of the session lies in accepted cycles, ns;  on (1,): which alarms there are
     spans (11,)     of the latest cycles in ns, in turn, a ring; `walked` in all
     gap             stamp before which input is missing, where no output has said so yet; NEVER: nothing is
     """
@@ -44,7 +44,7 @@ class CycleWatchState:
     onsets: Times = field(default_factory=lambda: np.zeros(LATEST, np.int64))
     seen: int = 0
     covered: int = 0
-    on: Times = field(default_factory=lambda: np.zeros(4, np.int64))
+    on: Array = field(default_factory=lambda: np.zeros(1, ALARMS))
     spans: Times = field(default_factory=lambda: np.zeros(RECENT, np.int64))
     walked: int = 0
     gap: int = NEVER
@@ -140,21 +140,21 @@ class CycleWatch(Operator[CycleWatchState]):
 
     def _silence(self, found: FoundAlarms, until: int) -> None:
         s = self.state
-        if s.on[SILENT] or s.began == NEVER:
+        if s.on["silent"] or s.began == NEVER:
             return
         since = s.began if s.heard == NEVER else s.heard
         usual = self._median()
         allowed = round(self.silent_cycles * usual if usual else self.first_s * NS)
         if since + allowed <= until:
-            s.on[SILENT] = 1
-            found.append((since + allowed, self._alarm(since, ON, f"no contact for {allowed / NS:.1f} s", SILENT)))
+            s.on["silent"] = 1
+            found.append((since + allowed, self._alarm(since, ON, f"no contact for {allowed / NS:.1f} s", "silent")))
 
     def _cycle(self, found: FoundAlarms, stamp: int, row: Array) -> None:
         s = self.state
         duration, reason = int(row["end"]) - int(row["onset"]), str(row["rejected"])
-        if s.on[SILENT]:
-            s.on[SILENT] = 0
-            found.append((stamp, self._alarm(s.heard, OVER, "no contact", SILENT)))
+        if s.on["silent"]:
+            s.on["silent"] = 0
+            found.append((stamp, self._alarm(s.heard, OVER, "no contact", "silent")))
         s.heard = max(s.heard, stamp)
         s.covered += 0 if reason else duration
         if reason not in ("too long", "too short", "gap"):
@@ -168,15 +168,15 @@ class CycleWatch(Operator[CycleWatchState]):
         s, usual = self.state, self._median()
         now = float(np.median(s.latest)) if s.seen >= LATEST else usual
         times = max(now / usual, usual / now) if usual else 1.0
-        if s.measured >= LATEST and times >= self.off_pace and not s.on[SLOW]:
-            s.on[SLOW] = 1
+        if s.measured >= LATEST and times >= self.off_pace and not s.on["slow"]:
+            s.on["slow"] = 1
             text = f"cadence went from {60 * NS / usual:.0f} to {60 * NS / now:.0f} strides/min"
-            found.append((stamp, self._alarm(self._since(now, usual), ON, text, SLOW)))
-        elif s.on[SLOW] and times < 1 + (self.off_pace - 1) / 2:
-            s.on[SLOW] = 0
-            found.append((stamp, self._alarm(self._since(now, now), OVER, "cadence", SLOW)))
+            found.append((stamp, self._alarm(self._since(now, usual), ON, text, "slow")))
+        elif s.on["slow"] and times < 1 + (self.off_pace - 1) / 2:
+            s.on["slow"] = 0
+            found.append((stamp, self._alarm(self._since(now, now), OVER, "cadence", "slow")))
         near = usual == 0 or max(duration / usual, usual / duration) < self.off_pace
-        if near and not s.on[SLOW]:
+        if near and not s.on["slow"]:
             s.durations[s.measured % RECENT] = duration
             s.measured += 1
 
@@ -196,13 +196,13 @@ class CycleWatch(Operator[CycleWatchState]):
             return
         in_turn = np.roll(s.spans, -(s.walked % RECENT))
         uneven = float(np.median(np.abs(np.diff(in_turn))) / np.median(in_turn))
-        if uneven > self.max_uneven and not s.on[UNEVEN]:
-            s.on[UNEVEN] = 1
+        if uneven > self.max_uneven and not s.on["uneven"]:
+            s.on["uneven"] = 1
             text = f"cycles differ by {100 * uneven:.0f} % from one to the next"
-            found.append((stamp, self._alarm(stamp, ON, text, UNEVEN)))
-        elif s.on[UNEVEN] and uneven < self.max_uneven / 1.5:
-            s.on[UNEVEN] = 0
-            found.append((stamp, self._alarm(stamp, OVER, "cycles differ", UNEVEN)))
+            found.append((stamp, self._alarm(stamp, ON, text, "uneven")))
+        elif s.on["uneven"] and uneven < self.max_uneven / 1.5:
+            s.on["uneven"] = 0
+            found.append((stamp, self._alarm(stamp, OVER, "cycles differ", "uneven")))
 
     def _coverage(self, found: FoundAlarms, stamp: int) -> None:
         s = self.state
@@ -210,13 +210,13 @@ class CycleWatch(Operator[CycleWatchState]):
         if elapsed < 30 * NS:
             return
         share = s.covered / elapsed
-        if share < self.min_covered and not s.on[SPARSE]:
-            s.on[SPARSE] = 1
+        if share < self.min_covered and not s.on["sparse"]:
+            s.on["sparse"] = 1
             text = f"cycles cover {100 * share:.0f} % of {elapsed / NS:.0f} s"
-            found.append((stamp, self._alarm(stamp, ON, text, SPARSE)))
-        elif s.on[SPARSE] and share > (1 + self.min_covered) / 2:
-            s.on[SPARSE] = 0
-            found.append((stamp, self._alarm(stamp, OVER, "cycles cover too little", SPARSE)))
+            found.append((stamp, self._alarm(stamp, ON, text, "sparse")))
+        elif s.on["sparse"] and share > (1 + self.min_covered) / 2:
+            s.on["sparse"] = 0
+            found.append((stamp, self._alarm(stamp, OVER, "cycles cover too little", "sparse")))
 
-    def _alarm(self, onset: int, state: str, what: str, kind: int) -> tuple[int, str, str, str, str]:
+    def _alarm(self, onset: int, state: str, what: str, kind: str) -> tuple[int, str, str, str, str]:
         return onset, self.subject, state, what, ADVICE[kind] if state == ON else ""

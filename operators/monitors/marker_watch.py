@@ -9,7 +9,16 @@ from typing import Literal
 import numpy as np
 
 from kinegraph.operators.inputs.marker_columns import marker_columns, marker_metres, marker_names
-from kinegraph.operators.monitors.marker_watch_kernel import BONE, FOUND, JUMP, JUMP_OVER, LENGTH, TRACK, follow_markers
+from kinegraph.operators.monitors.marker_watch_kernel import (
+    BONE,
+    FOUND,
+    JUMP,
+    JUMP_OVER,
+    LENGTH,
+    LIMITS,
+    TRACK,
+    follow_markers,
+)
 from kinegraph.stream.chunk import NEVER, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.domain.alarm import ON, OVER, FoundAlarms, alarm_chunk, alarms_spec
 from kinegraph.stream.errors import InputError, ParameterError
@@ -28,7 +37,7 @@ class MarkerWatchState:
     columns: Times
     ends: Times
     metres: float
-    limits: Samples
+    limits: Array
     tracks: Array
     bones: Array
     was: Samples
@@ -78,7 +87,7 @@ class MarkerWatch(Operator[MarkerWatchState]):
         state = MarkerWatchState(
             np.array(columns), np.array([[names.index(a), names.index(b)] for a, b in self.segments], np.int64).reshape(-1, 2),
             marker_metres(spec, np.ravel(columns).tolist(), self.unit),
-            np.array([self.jump_m, max(PAUSE_S, 3 / spec.rate_hz), self.stretch, FIRST_S, LASTS_S, CALM_S]),
+            np.array([(self.jump_m, max(PAUSE_S, 3 / spec.rate_hz), self.stretch, FIRST_S, LASTS_S, CALM_S)], LIMITS),
             np.zeros(len(names), TRACK), np.zeros(len(self.segments), BONE), np.full((len(names), 3), np.nan), NEVER, names,
         )  # fmt: skip
         state.tracks["leapt"] = state.tracks["at"] = NEVER

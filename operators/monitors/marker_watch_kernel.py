@@ -27,7 +27,7 @@ BONE = np.dtype([
 """A segment: its usual length in m (0: not known yet); the window under way: its begin, the sum, number and extremes of lengths; since
 when it has another length, and since when its own (NEVER: it has not); whether an alarm lasts."""
 
-JUMP_M, PAUSE_S, STRETCH, FIRST_S, LASTS_S, CALM_S = range(6)
+LIMITS = np.dtype([(name, "<f8") for name in ("jump_m", "pause_s", "stretch", "first_s", "lasts_s", "calm_s")])
 """The limits: how far a leap goes (m), the longest pause to ignore (s); by which part of its length a segment may differ, how long it is
 watched first, for how long it must have another length, and its own again (s)."""
 
@@ -54,27 +54,27 @@ def visible(place: Samples) -> bool:
 
 
 @kernel
-def leap(track: np.void, place: Samples, at: int, limits: Samples) -> float:
+def leap(track: np.void, place: Samples, at: int, limits: np.void) -> float:
     """How far (m) a marker is from where it would have come without a leap; 0 where that is near enough, or not known."""
     dt = 1e-9 * (at - track["at"])
-    if track["known"] == 0 or dt > limits[PAUSE_S]:
+    if track["known"] == 0 or dt > limits["pause_s"]:
         return 0.0
     if track["known"] == 1:
         far = between(place, track["here"])
-        return far if far > limits[JUMP_M] + SPEED_M_S * dt else 0.0
+        return far if far > limits["jump_m"] + SPEED_M_S * dt else 0.0
     share = dt / (1e-9 * (track["at"] - track["before"]))
     far = 0.0
     for c in range(3):
         off = place[c] - track["here"][c] - share * (track["here"][c] - track["there"][c])
         far += off * off
     far = np.sqrt(far)
-    return float(far) if far > limits[JUMP_M] + SWAY_M_S2 * dt * dt else 0.0
+    return float(far) if far > limits["jump_m"] + SWAY_M_S2 * dt * dt else 0.0
 
 
 @kernel
-def step(track: np.void, place: Samples, at: int, far: float, limits: Samples) -> None:
+def step(track: np.void, place: Samples, at: int, far: float, limits: np.void) -> None:
     """Take a marker's new place. One that leaps back at once was a ghost."""
-    if far > 0.0 or (track["known"] and 1e-9 * (at - track["at"]) > limits[PAUSE_S]):
+    if far > 0.0 or (track["known"] and 1e-9 * (at - track["at"]) > limits["pause_s"]):
         track["known"] = 0
     if far > 0.0:
         ghost = track["leapt"] != NEVER
@@ -88,7 +88,7 @@ def step(track: np.void, place: Samples, at: int, far: float, limits: Samples) -
 
 
 @kernel
-def measure(bone: np.void, length: float, at: int, limits: Samples) -> int:
+def measure(bone: np.void, length: float, at: int, limits: np.void) -> int:
     """Take a segment's length; returns -1, or LENGTH or LENGTH_OVER where an alarm begins or ends.
 
     Its usual length is the mean of the first window; while an alarm lasts, a whole window of one length makes that the usual one.
@@ -98,16 +98,16 @@ def measure(bone: np.void, length: float, at: int, limits: Samples) -> int:
     bone["sum"] += length
     bone["n"] += 1
     bone["least"], bone["most"] = min(bone["least"], length), max(bone["most"], length)
-    full = 1e-9 * (at - bone["begun"]) >= limits[FIRST_S]
+    full = 1e-9 * (at - bone["begun"]) >= limits["first_s"]
     if full:
         mean = bone["sum"] / bone["n"]
-        even = bone["most"] - bone["least"] <= limits[STRETCH] * mean
+        even = bone["most"] - bone["least"] <= limits["stretch"] * mean
         bone["n"] = 0
         if bone["length"] == 0.0 or (bone["lasts"] and even):
             bone["length"] = mean
     if bone["length"] == 0.0:
         return -1
-    other = abs(length / bone["length"] - 1.0) > limits[STRETCH]
+    other = abs(length / bone["length"] - 1.0) > limits["stretch"]
     if other:
         bone["right"] = NEVER
     elif bone["right"] == NEVER:
@@ -117,7 +117,7 @@ def measure(bone: np.void, length: float, at: int, limits: Samples) -> int:
         return -1
     if bone["off"] == NEVER:
         bone["off"] = at
-    if 1e-9 * (at - bone["off"]) < limits[LASTS_S if other else CALM_S]:
+    if 1e-9 * (at - bone["off"]) < (limits["lasts_s"] if other else limits["calm_s"]):
         return -1
     bone["lasts"] = 1 - bone["lasts"]
     return LENGTH if other else LENGTH_OVER
@@ -158,14 +158,14 @@ def nearest(place: Samples, k: int, was: Samples) -> int:
 
 @kernel
 def follow_markers(
-    time: Times, place: Samples, tracks: Array, bones: Array, ends: Times, limits: Samples, was: Samples, found: Array
+    time: Times, place: Samples, tracks: Array, bones: Array, ends: Times, limits: Array, was: Samples, found: Array
 ) -> int:
     """Follow all markers, `place` (n, m, 3) m, and the segments between them; returns how many rows of `found` were written.
 
     ends    (s, 2)  the markers at a segment's ends
     was     (m, 3)  memory for where the markers were before
     """
-    made = 0
+    made, limit = 0, limits[0]
     for i in range(time.shape[0]):
         at = time[i]
         for k in range(tracks.shape[0]):
@@ -175,11 +175,11 @@ def follow_markers(
             track = tracks[k]
             if not visible(place[i, k]) or at == track["at"]:
                 continue
-            far = leap(track, place[i, k], at, limits)
-            step(track, place[i, k], at, far, limits)
+            far = leap(track, place[i, k], at, limit)
+            step(track, place[i, k], at, far, limit)
             if far > 0.0:
                 track["other"] = nearest(place[i, k], k, was)
-            if track["leapt"] != NEVER and 1e-9 * (at - track["leapt"]) >= limits[PAUSE_S]:
+            if track["leapt"] != NEVER and 1e-9 * (at - track["leapt"]) >= limit["pause_s"]:
                 if not track["lasts"]:
                     made = note(found, made, JUMP, k, i, track["leapt"], track["size"], track["other"])
                 track["lasts"], track["since"], track["leapt"] = 1, track["leapt"], NEVER
@@ -188,13 +188,13 @@ def follow_markers(
             if not visible(one) or not visible(two):
                 continue
             length = between(one, two)
-            kind = measure(bones[b], length, at, limits)
+            kind = measure(bones[b], length, at, limit)
             if kind >= 0:
                 made = note(found, made, kind, b, i, bones[b]["off"], length / bones[b]["length"], -1)
                 bones[b]["off"] = NEVER
         for k in range(tracks.shape[0]):
-            calm = tracks[k]["lasts"] and 1e-9 * (at - tracks[k]["since"]) >= limits[CALM_S]
-            if calm and settled(k, bones, ends, at, limits[CALM_S]):
+            calm = tracks[k]["lasts"] and 1e-9 * (at - tracks[k]["since"]) >= limit["calm_s"]
+            if calm and settled(k, bones, ends, at, limit["calm_s"]):
                 tracks[k]["lasts"] = 0
                 made = note(found, made, JUMP_OVER, k, i, at, 0.0, -1)
     return made

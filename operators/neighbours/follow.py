@@ -6,6 +6,7 @@ They take the index as its two arrays, and pass it on bare.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from kinegraph.operators.neighbours.search import search
 from kinegraph.operators.neighbours.vectors import lowest
 from kinegraph.operators.neighbours.window import insert, oldest, prepare, recall, slot_of
 from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.compiler.record import record
 from kinegraph.stream.kernel import kernel
 
 
@@ -29,6 +31,28 @@ def take_nearest(ix: BareIndex, frames: Times, distances: Array) -> None:
     for i in range(known, frames.shape[0]):
         frames[i] = -1
         distances[i] = math.nan
+
+
+@record
+@dataclass(frozen=True, slots=True)
+class FoundWithin:
+    """Room for what is found within the radius, a row for each pair.
+
+    who, frames   (m,) int64     the row that found, and the frame that was found
+    distances     (m,) float32   how far apart they are
+    ways          (m, 2) bool    see `take_marked`
+    """
+
+    who: Times
+    frames: Times
+    distances: Array
+    ways: Array
+
+    @staticmethod
+    def of(room: int) -> FoundWithin:
+        return FoundWithin(
+            np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.float32), np.empty((room, 2), np.bool_)
+        )  # fmt: skip
 
 
 @kernel
@@ -83,30 +107,25 @@ def follow_within(
     both: bool,
     frames: Times,
     distances: Array,
-    who: Times,
-    found: Times,
-    found_distances: Array,
-    ways: Array,
+    found: FoundWithin,
 ) -> tuple[int, int]:
     """As `follow`, from row `start` on, and all within the radius as well, for as long as there is room for what one frame can find.
 
-    who              (m,)     the row of `x` that found
-    found, found_distances, ways  (m,), (m,), (m, 2)  see take_marked
     Returns the row to go on with, and how many were found.
     """
     ix = bare_index(floats, books)
     within = radius_squared(radius)
     made = 0
     i = start
-    while i < x.shape[0] and made + ix.window <= who.shape[0]:
+    while i < x.shape[0] and made + ix.window <= found.who.shape[0]:
         good = prepare(ix, x[i])
         insert(ix, good, within)
         ix.near_count = 0
         if good:
             marked = search(ix, ix.next - 1, band, frames.shape[1], within, both)
             if marked:
-                after = take_marked(ix, within, made, found, found_distances, ways)
-                who[made:after] = i
+                after = take_marked(ix, within, made, found.frames, found.distances, found.ways)
+                found.who[made:after] = i
                 made = after
         take_nearest(ix, frames[i], distances[i])
         i += 1

@@ -9,7 +9,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 
 from kinegraph.operators.inputs.continuity import Continuity, watch
-from kinegraph.operators.neighbours.follow import follow_within
+from kinegraph.operators.neighbours.follow import FoundWithin, follow_within
 from kinegraph.operators.neighbours.index import LIMITS, set_weights
 from kinegraph.operators.neighbours.layout import IndexState, allocate, clear
 from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times, empty
@@ -146,25 +146,26 @@ class Neighbours(Operator[NeighboursState]):
         window = ring // 2
         room = ring if len(x) > 1 else window
         frames, distances = np.empty(nearest.shape, np.int64), np.empty(nearest.shape, np.float32)
-        who, others = np.empty(room, np.int64), np.empty(room, np.int64)
-        apart, ways = np.empty(room, np.float32), np.empty((room, 2), np.bool_)
+        within = FoundWithin.of(room)
         first = int(s.index.head["next"])
         done = 0
         while done < len(x):
             start, limit = done, min(len(x), done + window)
             s.stamps[np.arange(first + start, first + limit) % ring] = time[start:limit]
             done, made = follow_within(
-                s.index.floats, s.index.books, x[:limit], start, s.band, s.radius, self.both,
-                frames, distances, who, others, apart, ways,
-            )  # fmt: skip
+                s.index.floats, s.index.books, x[:limit], start, s.band, s.radius, self.both, frames, distances, within
+            )
             near = frames[start:done]
             nearest["time"][start:done] = np.where(near < 0, -1, s.stamps[near % ring])
             if made:
                 events = np.empty(made, WITHIN)
-                events["frame"], events["neighbour"] = first + who[:made], others[:made]
-                events["neighbour_time"], events["distance"] = s.stamps[others[:made] % ring], apart[:made]
-                events["near"], events["reaches"] = ways[:made, 0], ways[:made, 1] & self.both
-                found.append((time[who[:made]], events))
+                events["frame"], events["neighbour"] = first + within.who[:made], within.frames[:made]
+                events["neighbour_time"], events["distance"] = (
+                    s.stamps[within.frames[:made] % ring],
+                    within.distances[:made],
+                )
+                events["near"], events["reaches"] = within.ways[:made, 0], within.ways[:made, 1] & self.both
+                found.append((time[within.who[:made]], events))
         nearest["frame"], nearest["distance"] = frames, distances
 
     def _steer(self, port: str, data: Array) -> None:

@@ -14,6 +14,7 @@ from kinegraph.operators.pose.motion_kernel import limit_turns, same_signs
 from kinegraph.operators.pose.operator import NOTES
 from kinegraph.operators.pose.rotation_kernel import from_axes, normalise
 from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.compiler.record import numbers_of, record
 from kinegraph.stream.domain.humanoid import BONES, NUMBERS
 from kinegraph.stream.domain.skeleton import JointTree, multiply, turn
 from kinegraph.stream.errors import InputError
@@ -32,20 +33,37 @@ TEXTS = {
 }
 STATES = ("waiting", "stand", "follows", "lost", "gone")
 WAITING, STAND, FOLLOWS, LOST, GONE = range(5)
-ASKED, SINCE, PLACED, FLOOR, SCALE, LAST = range(6)
-"""Places in `memory`: which of the states is on; since when (s) a person is in view without a calibration, or 0; whether it is known
-where the avatar stands; the floor's height; the size of the skeleton's legs in the person's; the newest stamp in s."""
 
 
-@dataclass(slots=True)
-class FootingState:
+class FootingNumbers:
     """
-    memory  (6,)  see above        origin (3,), about (4,)  where the person stood, and the turn that makes them face the front
+    asked    which of the states is on; -1: not yet
+    since    since when (s) a person is in view without a calibration, or 0
+    placed   whether it is known where the avatar stands; then the `floor`'s height, and the `scale` of the skeleton's legs by the person's
+    last     the newest stamp in s
+    """
+
+    asked: int
+    since: float
+    placed: bool
+    floor: float
+    scale: float
+    last: float
+
+
+NUMBERS_OF_FOOTING = numbers_of(FootingNumbers)
+
+
+@record
+@dataclass(slots=True)
+class FootingState(FootingNumbers):
+    """
+    numbers (1,)  see above        origin (3,), about (4,)  where the person stood, and the turn that makes them face the front
     turns, before (22, 4)  rotations in the world now and of the newest sample; local, was (22, 4)  those relative to parents
     joints, quality, newest  the newest of these inputs, and the newest pose that was given out
     """
 
-    memory: Samples
+    numbers: Array
     origin: Samples
     about: Samples
     turns: Samples
@@ -58,14 +76,12 @@ class FootingState:
 
 
 @kernel
-def stand_here(
-    pose: Samples, joints: Samples, offsets: Samples, sole: float, memory: Samples, origin: Samples, about: Samples, work: Samples
-) -> None:  # fmt: skip
+def stand_here(s: FootingState, pose: Samples, offsets: Samples, sole: float, work: Samples) -> None:
     """From a pose of someone who stands: where that is, how to turn to the front, where the floor is, and how long the legs are.
 
-    `offsets` (22, 3) are those of the skeleton in the spec, with ankles `sole` above the floor at rest; `joints` (22, 3) are where the
-    person's joints are. `work` (3, 4).
+    `offsets` (22, 3) are those of the skeleton in the spec, with ankles `sole` above the floor at rest. `work` (3, 4).
     """
+    joints, about = s.joints, s.about
     work[0, 0], work[0, 1], work[0, 2] = 1.0, 0.0, 0.0
     turn(pose[3:7], work[0, :3], work[1, :3])
     work[1, 1] = 0.0
@@ -79,28 +95,29 @@ def stand_here(
             legs += math.sqrt((offsets[bone] ** 2).sum())
             own += math.sqrt(((joints[bone] - joints[bone - 1]) ** 2).sum())
         floor = min(floor, joints[FOOT + SIDE * side, 1])
-    memory[SCALE] = legs / own if own > 0.1 else 1.0
-    memory[FLOOR] = floor - sole / memory[SCALE]
-    origin[:] = pose[:3]
-    memory[PLACED] = 1.0
+    s.scale = legs / own if own > 0.1 else 1.0
+    s.floor = floor - sole / s.scale
+    s.origin[:] = pose[:3]
+    s.placed = True
 
 
 @kernel
 def footed(
-    pose: Samples, now: float, seated: bool, turn_rad_s: float, offsets: Samples, parents: Times, memory: Samples,
-    origin: Samples, about: Samples, turns: Samples, before: Samples, local: Samples, was: Samples, work: Samples, out: Samples,
+    s: FootingState, pose: Samples, now: float, seated: bool, turn_rad_s: float, offsets: Samples, parents: Times, work: Samples,
+    out: Samples,
 ) -> None:  # fmt: skip
     """One pose (91,) as the avatar takes it, into `out`: at rest until it is known where it stands."""
-    dt = min(max(now - memory[LAST], 0.002), 0.1)
-    memory[LAST] = now
-    if memory[PLACED] > 0.0:
+    turns, before, local, was = s.turns, s.before, s.local, s.was
+    dt = min(max(now - s.last, 0.002), 0.1)
+    s.last = now
+    if s.placed:
         for a in range(3):
-            work[0, a] = (pose[a] - origin[a]) * memory[SCALE]
-        turn(about, work[0, :3], out[:3])
-        out[1] = (pose[1] - memory[FLOOR]) * memory[SCALE]
+            work[0, a] = (pose[a] - s.origin[a]) * s.scale
+        turn(s.about, work[0, :3], out[:3])
+        out[1] = (pose[1] - s.floor) * s.scale
         for b in range(parents.shape[0]):
             local[b] = pose[3 + 4 * b : 7 + 4 * b]
-        multiply(about, pose[3:7], local[0])
+        multiply(s.about, pose[3:7], local[0])
     else:
         out[:3] = offsets[0]
         local[:], local[:, 0] = 0.0, 1.0
@@ -165,11 +182,11 @@ class Footing(_Standing):
         if specs["joints"].shape != (len(BONES), 3) or specs["quality"].shape != wanted:
             raise InputError("joints", specs["joints"].describe(), "joints and quality of the node that gives the pose")
         still = np.tile([1.0, 0.0, 0.0, 0.0], (len(BONES), 1))
-        memory = np.zeros(6)
-        memory[ASKED], memory[SCALE] = -1.0, 1.0
+        numbers = np.zeros(1, NUMBERS_OF_FOOTING)
+        numbers["asked"], numbers["scale"] = -1, 1.0
         self.set_state(
             FootingState(
-                memory, np.zeros(3), still[0].copy(), still.copy(), still.copy(), still.copy(), still.copy(),
+                numbers, np.zeros(3), still[0].copy(), still.copy(), still.copy(), still.copy(), still.copy(),
                 tree.at_rest.copy(), np.ones(wanted[0]), np.concatenate([tree.offsets[0], still.ravel()]),
             ),
             decision_s={"prompt": 0.0},
@@ -193,9 +210,8 @@ class Footing(_Standing):
                 continue
             prompts += self._ask(time, pose)
             footed(
-                pose, time / NS, self.seated, self.turn_rad_s, self.tree.offsets, NUMBERS, s.memory, s.origin, s.about,
-                s.turns, s.before, s.local, s.was, np.zeros((8, 4)), out[i],
-            )  # fmt: skip
+                s, pose, time / NS, self.seated, self.turn_rad_s, self.tree.offsets, NUMBERS, np.zeros((8, 4)), out[i]
+            )
             s.newest[:] = out[i]
         events = np.array(prompts, PROMPT)
         return [
@@ -206,17 +222,17 @@ class Footing(_Standing):
     def _ask(self, time: int, pose: Samples) -> list[Array]:
         """What is asked of the person from this sample on, if that is something else than before; notes where the person stands."""
         s, bones = self.state, len(BONES)
-        m, seen, calibrated = s.memory, not s.quality[:bones].all(), s.quality[bones + 2] > 0.0
-        if seen and not m[SINCE]:
-            m[SINCE] = time / NS
-        if not m[PLACED] and seen and (calibrated or time / NS - m[SINCE] >= self.uncalibrated_s):
+        seen, calibrated = not s.quality[:bones].all(), s.quality[bones + 2] > 0.0
+        if seen and not s.since:
+            s.since = time / NS
+        if not s.placed and seen and (calibrated or time / NS - s.since >= self.uncalibrated_s):
             sole = float(self.tree.at_rest[FOOT, 1])
-            stand_here(pose, s.joints, self.tree.offsets, sole, m, s.origin, s.about, np.zeros((3, 4)))
-        there, absent = (FOLLOWS if calibrated else LOST, GONE) if m[PLACED] else (STAND, WAITING)
+            stand_here(s, pose, self.tree.offsets, sole, np.zeros((3, 4)))
+        there, absent = (FOLLOWS if calibrated else LOST, GONE) if s.placed else (STAND, WAITING)
         state = there if seen else absent
-        if state == m[ASKED]:
+        if state == s.asked:
             return []
-        m[ASKED] = state
+        s.asked = state
         return [np.array((time, STATES[state], TEXTS[STATES[state]]), PROMPT)]
 
     @classmethod

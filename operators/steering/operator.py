@@ -249,10 +249,7 @@ class SteerMesh(_Steered):
                 hang(y, predicted[part.parent], turn, part.above, part.own, sizes)
         if held := self.learned.settling:
             fade = faded(float(s.outside[0]))
-            settle(
-                self.together, s.marks, fade, held.greedy, held.turns, held.begins, held.others, held.own, held.theirs, held.weights,
-                held.solve, held.most, ROUNDS,
-            )  # fmt: skip
+            settle(self.together, s.marks, fade, held.greedy, held.borders, held.most, ROUNDS)
         for part, y in zip(parts, predicted, strict=True):
             add_part(y, part.vertices, part.weights, part.mean, _modes(part), turn, s.latest)
 

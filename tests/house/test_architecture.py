@@ -97,10 +97,6 @@ def test_only_kernel_compiles() -> None:
         assert not imported(path) & {"pickle", "cPickle", "dill", "joblib", "shelve", "marshal"}, path
 
 
-LONG_KERNELS = {"footed", "shape_by_neighbours", "add_regions", "settle", "follow_within"}
-"""Kernels that still take 13 to 15 arguments; their states are to become records (`stream.compiler.record`)."""
-
-
 @pytest.mark.quick
 def test_kernels_take_at_most_12_arguments() -> None:
     kernels = [
@@ -109,7 +105,7 @@ def test_kernels_take_at_most_12_arguments() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.FunctionDef) and any("kernel" in ast.unparse(made) for made in node.decorator_list)
     ]
-    assert {node.name for node in kernels if len(node.args.args) > 12} <= LONG_KERNELS
+    assert [node.name for node in kernels if len(node.args.args) > 12] == []
 
 
 def texts() -> list[Path]:

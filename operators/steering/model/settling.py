@@ -11,6 +11,7 @@ import numpy as np
 from kinegraph.operators.steering.model.assemble_kernel import columns
 from kinegraph.operators.steering.model.part import Part
 from kinegraph.stream.chunk import Array, Samples, Times
+from kinegraph.stream.compiler.record import record
 from kinegraph.stream.kernel import kernel
 
 ROUNDS = 3
@@ -33,6 +34,20 @@ class SoftShapes:
 
 def offered() -> list[SoftShapes]:
     return [SoftShapes(beta, marked) for beta, marked in product(BETAS, MARKED)]
+
+
+@record
+@dataclass(frozen=True, slots=True)
+class Borders:
+    """What kernels read of a `Settling`, under the same names."""
+
+    turns: Array
+    begins: Times
+    others: Times
+    own: Samples
+    theirs: Samples
+    weights: Samples
+    solve: Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +136,11 @@ class Settling:
             solve[a][np.ix_(has, has)] = np.linalg.inv(square)
         return replace(self, weights=weights, solve=solve, most=MOST * diagonal, shapes=shapes)
 
+    @property
+    def borders(self) -> Borders:
+        """For kernels."""
+        return Borders(self.turns, self.begins, self.others, self.own, self.theirs, self.weights, self.solve)
+
     def without_markers(self) -> Settling:
         """The same for markers that lie on another body: borders alone move the shapes."""
         if self.shapes is None:
@@ -132,10 +152,7 @@ class Settling:
         y = np.zeros((len(predicted), 9 + self.spread.shape[1]))
         for a, one in enumerate(predicted):
             y[a, : len(one)] = one
-        settle(
-            y, np.ascontiguousarray(marks), share, self.greedy, self.turns, self.begins, self.others, self.own, self.theirs, self.weights,
-            self.solve, self.most, ROUNDS,
-        )  # fmt: skip
+        settle(y, np.ascontiguousarray(marks), share, self.greedy, self.borders, self.most, ROUNDS)
         return [y[a, : len(one)] for a, one in enumerate(predicted)]
 
 
@@ -166,51 +183,26 @@ def put_point(moves: Samples, y: Samples, turn: Samples, room: Samples, out: Sam
 
 
 @kernel
-def settle(
-    y: Samples,
-    marks: Samples,
-    share: float,
-    greedy: bool,
-    free: Array,
-    begins: Times,
-    others: Times,
-    own: Samples,
-    theirs: Samples,
-    weights: Samples,
-    solve: Samples,
-    most: float,
-    rounds: int,
-) -> None:
+def settle(y: Samples, marks: Samples, share: float, greedy: bool, borders: Borders, most: float, rounds: int) -> None:
     """Bring the predictions of all parts `y` (p, 9 + k) to fit, by a `Settling`; markers `marks` (m, 3) draw shapes by `share`."""
     p = y.shape[0]
     predicted = y.copy()
     turns, room = np.empty((p, 3, 3)), np.empty((3, 3))
     for a in range(p):
         columns(y[a], turns[a])
-    shaped = rounds if solve.shape[0] else 0
+    shaped = rounds if borders.solve.shape[0] else 0
     for again in range(shaped + 1):
         for a in range(1, p if greedy else 0):
-            place_by_border(a, y, turns, free[a], begins, others, own, theirs, room)
+            place_by_border(a, y, turns, borders, room)
         for a in range(p if again < shaped else 0):
-            shape_by_neighbours(
-                a, y, predicted[a], turns, marks, share, begins, others, own, theirs, weights, solve[a], most, room
-            )
+            shape_by_neighbours(a, y, predicted[a], turns, marks, share, borders, most, room)
 
 
 @kernel
-def place_by_border(
-    a: int,
-    y: Samples,
-    turns: Samples,
-    free: bool,
-    begins: Times,
-    others: Times,
-    own: Samples,
-    theirs: Samples,
-    room: Samples,
-) -> None:
-    """Move part `a` to its border with the parts placed before it, and turn it if it is `free` to be turned (9.4.1); `room` (3, 3)."""
+def place_by_border(a: int, y: Samples, turns: Samples, borders: Borders, room: Samples) -> None:
+    """Move part `a` to its border with the parts placed before it, and turn it if it may be turned (9.4.1); `room` (3, 3)."""
     mine, there, work = room[0], room[1], room[2]
+    begins, others, own, theirs = borders.begins, borders.others, borders.own, borders.theirs
     n, mean, target = 0, np.zeros(3), np.zeros(3)
     for row in range(begins[a], begins[a + 1]):
         if 0 <= others[row] < a:
@@ -223,7 +215,7 @@ def place_by_border(
         return
     mean /= n
     target /= n
-    if free and n > 2:
+    if borders.turns[a] and n > 2:
         spread = np.zeros((3, 3))
         for row in range(begins[a], begins[a + 1]):
             if 0 <= others[row] < a:
@@ -244,24 +236,12 @@ def place_by_border(
 
 @kernel
 def shape_by_neighbours(
-    a: int,
-    y: Samples,
-    predicted: Samples,
-    turns: Samples,
-    marks: Samples,
-    share: float,
-    begins: Times,
-    others: Times,
-    own: Samples,
-    theirs: Samples,
-    weights: Samples,
-    solve: Samples,
-    most: float,
-    room: Samples,
-) -> None:
-    """Move the shape of part `a` from what was `predicted` (9 + k,) towards neighbours and markers (9.14); solve (k, k), room (3, 3)."""
+    a: int, y: Samples, predicted: Samples, turns: Samples, marks: Samples, share: float, borders: Borders, most: float, room: Samples
+) -> None:  # fmt: skip
+    """Move the shape of part `a` from what was `predicted` (9 + k,) towards neighbours and markers (9.14); room (3, 3)."""
     mine, there, work = room[0], room[1], room[2]
-    k = y.shape[1] - 9
+    begins, others, own, theirs = borders.begins, borders.others, borders.own, borders.theirs
+    solve, k = borders.solve[a], y.shape[1] - 9
     found = np.zeros(k)
     for row in range(begins[a], begins[a + 1]):
         if others[row] >= 0:
@@ -275,7 +255,7 @@ def shape_by_neighbours(
             for j in range(3):
                 work[i] += turns[a, j, i] * (there[j] - y[a, 6 + j])
             far += work[i] * work[i]
-        scale = weights[row]
+        scale = borders.weights[row]
         if others[row] < 0:
             scale *= share * min(1.0, most / max(np.sqrt(far), 1e-12))
         for m in range(k):
