@@ -1,12 +1,17 @@
-"""A platform wheel starts every shipped graph without compiling, where nothing can be written; what was edited is compiled."""
+"""A platform wheel starts every shipped graph without compiling, where nothing can be written; what was edited is compiled.
+
+`KINEGRAPH_WHEEL=dist/NAME.whl pytest -m nightly tests/house/test_platform_wheel.py` tries one that `make dist` has built.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import platform
 import sys
 import venv
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,6 +26,7 @@ pytestmark = [
     pytest.mark.skipif((sys.platform, platform.machine()) != ("linux", "x86_64"), reason="these wheels are for Linux"),
 ]
 
+BUILT = os.environ.get("KINEGRAPH_WHEEL", "")
 STARTS = """
 import json, sys, tempfile
 from pathlib import Path
@@ -51,6 +57,50 @@ for name in sys.argv[1:]:
 print(json.dumps({"levels": cache.levels(), "found": found}))
 """
 """Starts graphs as `kinegraph run` does, up to the opening of devices; which kernels were compiled for each."""
+LAWS = """
+import hashlib, json, logging, random, sys
+from numba.core import event
+from kinegraph.stream.compiler import cache
+from kinegraph.stream.compiler.fingerprint import kernels_of
+from kinegraph.stream.graph.components import catalogue
+from kinegraph.stream.laws import checks, trials
+from kinegraph.stream.laws.case_samples import tapes_of
+from kinegraph.stream.laws.chunking import whole
+from kinegraph.stream.laws.play import Player
+from kinegraph.stream.operator import Operator
+
+which, most = sys.argv[1], int(sys.argv[2])
+cache.levels = lambda: () if which == "home" else (which,)
+
+class Compiled(event.Listener):
+    names = []
+    def on_start(self, e):
+        self.names.append(str(e.data["dispatcher"]))
+    def on_end(self, e):
+        pass
+
+event.register("numba:compile", Compiled())
+assert "site-packages" in cache.__file__
+packages = {}
+for use, part in sorted(catalogue(("operators",))[0].items()):
+    if issubclass(part, Operator) and kernels_of(part):
+        packages.setdefault(use.split(".")[1], []).append((use, part))
+digests = {}
+for use, part in (one for parts in packages.values() for one in parts[:most]):
+    for k, case in enumerate(part.cases()):
+        digest = hashlib.sha256()
+        for name, output in sorted(Player(case).play(whole(tapes_of(case))).outputs.items()):
+            digest.update(name.encode() + output.time.tobytes() + output.data.tobytes())
+        digests[f"{use} {k}"] = digest.hexdigest()
+    for make in trials(part) if which != "home" else ():
+        trial = make()
+        for check in checks(trial).values():
+            check()
+        trial.attempt(random.Random(1).randint)
+print(json.dumps({"digests": digests, "compiled": Compiled.names}))
+"""
+"""What operators of every folder give, some of each, by the wheel's kernels of a level, or by those compiled at home; and the laws on the
+former (tests/laws holds them on the latter)."""
 READ_ONLY = {"HOME": "/proc", "XDG_CACHE_HOME": "", "KINEGRAPH_CACHE": ""}
 """Where not even root can make a folder; empty variables are left out."""
 
@@ -59,9 +109,12 @@ READ_ONLY = {"HOME": "/proc", "XDG_CACHE_HOME": "", "KINEGRAPH_CACHE": ""}
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The Python of an environment with the platform wheel, and what it depends on from the environment in which the tests run."""
     place = tmp_path_factory.mktemp("platform")
-    run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", place, cwd=HOUSE)
-    kernels = {level: compiled(level, place / level) for level in LEVELS}
-    wheel = with_kernels(next(place.glob("*-any.whl")), kernels)
+    if BUILT:
+        wheel = Path(BUILT).absolute()
+    else:
+        run(sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", place, cwd=HOUSE)
+        kernels = {level: compiled(level, place / level) for level in LEVELS}
+        wheel = with_kernels(next(place.glob("*-any.whl")), kernels)
     venv.create(place / "env", with_pip=False, symlinks=True)
     install = (sys.executable, "-m", "pip", "--python", place / "env", "install", "-q", "--no-deps", "--no-index")
     run(*install, wheel, cwd=place)
@@ -88,6 +141,20 @@ def test_every_shipped_graph_starts_without_compiling(python: Path, tmp_path: Pa
     lacking = {name for name, why in found.items() if isinstance(why, str)}
     assert lacking <= {"avatar_oak", "body_markers"}, "their networks are not part of kinegraph"
     assert {name: names for name, names in found.items() if names and name not in lacking} == {}
+
+
+@pytest.mark.timeout(3000)
+def test_operators_keep_the_laws_and_give_the_same_bits_as_compiled_at_home(python: Path, tmp_path: Path) -> None:
+    def of(which: str) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(run(python, "-c", LAWS, which, 3, cwd=tmp_path).splitlines()[-1])
+        return found
+
+    home = of("home")["digests"]
+    assert len(home) > 60
+    for level in LEVELS:
+        found = of(level)
+        assert found["compiled"] == [], level
+        assert found["digests"] == home, level
 
 
 def test_what_was_edited_is_compiled(python: Path, tmp_path: Path) -> None:
