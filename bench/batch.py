@@ -44,9 +44,9 @@ def distances(x: Samples) -> Samples:
     return apart
 
 
-def cut(apart: Samples, radius: float, band: int) -> Batch:
+def cut(apart: Samples, radius: float, band: int, quiet: int = QUIET) -> Batch:
     """Activities and primitives, neighbours within `band` frames being passed over."""
-    activities, transition = blocks(apart <= radius, band)
+    activities, transition = blocks(apart <= radius, band, quiet)
     primitives, repetition = [], []
     for (first, stop), passing in zip(activities, transition, strict=True):
         cuts = [] if passing else paths_begin(apart[first:stop, first:stop], radius, band)
@@ -56,11 +56,11 @@ def cut(apart: Samples, radius: float, band: int) -> Batch:
     return Batch(activities, transition, np.array(primitives), np.array(repetition))
 
 
-def blocks(near: Array, band: int) -> tuple[Array, Array]:
+def blocks(near: Array, band: int, quiet: int = QUIET) -> tuple[Array, Array]:
     """Activities between the upper left corners of blocks grown backward and the lower right ones of blocks grown forward (2.3.2)."""
     n = len(near)
-    ends = [last + 1 for last in corners(near, band)]
-    starts = [n - 1 - last for last in corners(near[::-1, ::-1], band)]
+    ends = [last + 1 for last in corners(near, band, quiet)]
+    starts = [n - 1 - last for last in corners(near[::-1, ::-1], band, quiet)]
     marks = sorted([(frame, 0) for frame in starts] + [(frame, 1) for frame in ends])
     edges: list[tuple[int, int]] = []
     for frame, is_end in marks:
@@ -76,14 +76,14 @@ def blocks(near: Array, band: int) -> tuple[Array, Array]:
     return np.array([span[:2] for span in spans]), np.array([bool(passing) for *_, passing in spans])
 
 
-def corners(near: Array, band: int) -> list[int]:
+def corners(near: Array, band: int, quiet: int = QUIET) -> list[int]:
     """The last frames of blocks, grown downward from their first frame over rows of the lower triangle."""
     made, seed, last, pairs = [], 0, -1, 0
     for i in range(len(near)):
         found = int(near[i, seed : max(seed, i - band + 1)].sum())
         if found:
             last, pairs = i, pairs + found
-        elif last >= 0 and i - last >= QUIET:
+        elif last >= 0 and i - last >= quiet:
             if pairs >= MASS:
                 made.append(last)
             seed, last, pairs = last + 1, -1, 0

@@ -41,9 +41,9 @@ BAND = 30
 SHOWN = {"f1": "F1", "covering": "covering", "strict": "strict", "tolerant": "tolerant"}
 
 
-def in_batch(features: Series, apart: Samples, radius: float) -> Found:
+def in_batch(features: Series, apart: Samples, radius: float, quiet: int = batch.QUIET) -> Found:
     """What the thesis's method finds, from all distances."""
-    made = batch.cut(apart, radius, BAND)
+    made = batch.cut(apart, radius, BAND, quiet)
     edges = np.append(features.stamps, features.stamps[-1] + features.spec.period_ns) / NS
     edges[0] = 0.0
     unknown = np.full(len(made.repetition), -1)

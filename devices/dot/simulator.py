@@ -1,4 +1,4 @@
-"""A simulated Movella DOT on a shank, as its Bluetooth LE services have it."""
+"""A simulated Movella DOT at the lower back, as its Bluetooth LE services have it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from kinegraph.devices.ble.simulated_radio import in_reach
 from kinegraph.devices.dot import protocol as protocol
 from kinegraph.devices.dot.protocol import DotMode
 from kinegraph.devices.dot.source import MovellaDot
+from kinegraph.devices.people.walking_back import Back
 from kinegraph.stream.chunk import Samples
+
+PERSON = 101
+"""A walker whom the shipped model of walking manners was not trained on, as of `devices.mti.back_walker`."""
 
 
 class DotSensor:
@@ -57,8 +61,7 @@ class DotSensor:
     def _packet(self, mode: DotMode, number: int) -> bytes:
         return protocol.build(mode, self._zero_us + round(number * 1e6 / self._rate), self.values(mode, number))
 
-    @staticmethod
-    def values(mode: DotMode, number: int) -> Samples:
+    def values(self, mode: DotMode, number: int) -> Samples:
         """The channels (c,) of a packet."""
         made = (number % 1000 + 1000.0 * np.arange(len(mode.channels))) / 8
         names = [name for name, _ in mode.channels]
@@ -69,8 +72,28 @@ class DotSensor:
         return np.asarray(made, np.float64)
 
 
+class WornDot(DotSensor):
+    """One at the lower back of somebody who walks, turns and stands; what is not measured there is 0."""
+
+    _back: Back | None = None
+
+    def values(self, mode: DotMode, number: int) -> Samples:
+        made = self._worn().measure(np.array([number]))
+        found = {
+            **dict(zip(("ax", "ay", "az"), made["acceleration"][0], strict=True)),
+            **dict(zip(("gx", "gy", "gz"), np.rad2deg(made["angular_velocity"][0]), strict=True)),
+            "qw": 1.0,
+        }
+        return np.array([found.get(name, 0.0) for name, _ in mode.channels])
+
+    def _worn(self) -> Back:
+        if self._back is None or self._back.rate_hz != self._rate:
+            self._back = Back("brisk", PERSON, float(self._rate))
+        return self._back
+
+
 @contextmanager
 def simulated(source: MovellaDot) -> Iterator[MovellaDot]:
     """What `--simulate` puts in its place."""
-    with in_reach(DotSensor()):
+    with in_reach(WornDot()):
         yield replace(source, device="Movella DOT")

@@ -1,4 +1,4 @@
-"""A simulated device for any frames that a graph declares: a swinging shank where the units are an inertial sensor's, else slow waves."""
+"""A simulated device for any frames that a graph declares: somebody who walks where the units are an inertial sensor's, else slow waves."""
 
 from __future__ import annotations
 
@@ -17,16 +17,25 @@ from kinegraph.devices.frames.datagram_simulator import sending
 from kinegraph.devices.frames.declared import NS_PER, Field, Frame
 from kinegraph.devices.frames.packet_decoder import escaped
 from kinegraph.devices.frames.source import Binary
+from kinegraph.devices.people.walking_back import Back
+from kinegraph.devices.people.walking_limb import GRAVITY
 from kinegraph.devices.simulation.cable import line_at
 from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.devices.simulation.serve import Server, Simulator
 from kinegraph.devices.transport.bluetooth import parse
-from kinegraph.stream.chunk import NS
+from kinegraph.stream.chunk import NS, Samples
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.params import param
 
-SWING = {"g": 0.6, "m/s2": 6.0, "deg/s": 180.0, "rad/s": 3.0, "deg": 25.0, "rad": 0.45}
-"""How far a walking shank's signals go, by their unit."""
+SWING = {"deg": 25.0, "rad": 0.45}
+"""How far angles go, by their unit."""
+WORN = {
+    "g": ("acceleration", 1 / GRAVITY), "m/s2": ("acceleration", 1.0), "m/s^2": ("acceleration", 1.0),
+    "deg/s": ("angular_velocity", 180 / np.pi), "rad/s": ("angular_velocity", 1.0),
+}  # fmt: skip
+"""By unit: what somebody who walks has at the lower back, and the factor into that unit. The axis is the name's last letter."""
+PERSON = 101
+"""A walker whom the shipped model of walking manners was not trained on, as of `devices.mti.back_walker`."""
 STRIDES_HZ = 0.95
 OTHERWISE_HZ = 50.0
 MOST_BEHIND = 5000
@@ -70,6 +79,8 @@ class BinaryModel:
         self._rate = max((f.rate_hz for f in of.frames if f.rate_hz), default=OTHERWISE_HZ)
         self._wraps, self._framing = of.wraps_ns, of.framing
         self._said = self._zero = 0
+        self._back, self._turn = Back("brisk", PERSON, self._rate), -1
+        self._measured: dict[str, Samples] = {}
         self.heard = b""
         self.ahead_s = 0.0
 
@@ -107,13 +118,15 @@ class BinaryModel:
             return self._clock(frame, f, turn - self._zero)
         if not f.name:
             return 0
+        if f.unit in WORN and f.name[-1] in "xyz":
+            high = 2.0 ** (f.bits - 1) - 1
+            value = (self._worn(f, turn) - f.offset) / f.scale
+            return value if f.type[0] == "f" else float(np.clip(round(value), -high, high))
         wave = np.sin(2 * np.pi * STRIDES_HZ * (turn - earlier) / self._rate + 0.9 * place)
         high = 2.0 ** (f.bits - 1) - 1
         low = 0.0 if f.type[0] == "u" else -high
         if f.unit in SWING:
-            value = (
-                SWING[f.unit] * wave + (1.0 if f.unit == "g" and f.name.endswith("z") else 0.0) - f.offset
-            ) / f.scale
+            value = (SWING[f.unit] * wave - f.offset) / f.scale
         else:
             value = wave / f.scale if f.type[0] == "f" else (0.25 * high * wave + (high if f.type[0] == "u" else 0))
         return (
@@ -121,6 +134,13 @@ class BinaryModel:
             if f.type[0] == "f"
             else float(np.clip(round(value), low, 2 * high if f.type[0] == "u" else high))
         )
+
+    def _worn(self, f: Field, turn: int) -> float:
+        """What the sensor measures in turn `turn`, in the field's unit."""
+        if turn != self._turn:
+            self._turn, self._measured = turn, self._back.measure(np.array([turn]))
+        kind, factor = WORN[f.unit]
+        return factor * float(self._measured[kind][0, "xyz".index(f.name[-1])])
 
     def _clock(self, frame: Frame, f: Field, turn: int) -> float:
         """This field's part of the device's time: the largest unit holds what is left, each other one its remainder."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from kinegraph.devices.people.treadmill.signal import Signal, Walker
+from kinegraph.devices.people.walking_back import Back
 from kinegraph.devices.people.walking_limb import Limb, Site
 from kinegraph.devices.shimmer import protocol as protocol
 from kinegraph.devices.shimmer import units as units
@@ -31,15 +32,17 @@ OUTPUTS = {"acceleration": (0, 1, 2), "wide_acceleration": (4, 5, 6), "angular_v
 FACTORY_TICKS = 640
 BOARD = (47, 5, 0)
 """An ExG unit of the later boards."""
+LONELY = 101
+"""A walker whom the shipped model of walking manners was not trained on, as of `devices.mti.back_walker`."""
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedShimmer(Simulator):
-    """A Shimmer3 with EMG electrodes on a shank."""
+    """A Shimmer3 with EMG electrodes on a shank, or one at the lower back of somebody who walks, turns and stands."""
 
     port_name: ClassVar[str] = "rfcommSHIM"
 
-    site: Site = param("shank", help="where it is worn: foot or shank")
+    site: Site | Literal["lower_back"] = param("shank", help="where it is worn: foot, shank or lower_back")
     firmware: tuple[int, int, int] = param((0, 16, 0), help="LogAndStream's version")
     board: tuple[int, int, int] = param(
         BOARD,
@@ -56,7 +59,7 @@ class ShimmerModel:
 
     def __init__(
         self,
-        site: Site = "shank",
+        site: Site | Literal["lower_back"] = "shank",
         firmware: tuple[int, int, int] = (0, 16, 0),
         seed: int = 0,
         board: tuple[int, int, int] = BOARD,
@@ -160,7 +163,12 @@ class ShimmerModel:
         return np.asarray(np.round(emg * 1e-6 * gain * (2**23 - 1) / units.VREF_V))
 
     def _configure(self) -> None:
-        self.limb = Limb(self._site, TICKS_HZ / self.divider, seed=self._seed)
+        rate_hz = TICKS_HZ / self.divider
+        self.limb: Limb | Back = (
+            Back("brisk", LONELY + self._seed, rate_hz)
+            if self._site == "lower_back"
+            else Limb(self._site, rate_hz, seed=self._seed)
+        )
 
     def _obey(self, command: int, data: bytes) -> bytes:
         """One command; returns what the device answers."""
@@ -226,5 +234,5 @@ class ShimmerModel:
 
 
 def simulated(source: Shimmer) -> AbstractContextManager[Shimmer]:
-    """What `--simulate` puts in its place."""
-    return in_place(source, SimulatedShimmer())
+    """What `--simulate` puts in its place: with electrodes it is on a shank, else at the lower back."""
+    return in_place(source, SimulatedShimmer(site="shank" if source.purpose else "lower_back"))

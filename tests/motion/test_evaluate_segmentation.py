@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from kinegraph.operators.segmentation.evaluation.as_in_thesis import thesis_scores, variances
 from kinegraph.operators.segmentation.evaluation.found import ACTIVITY, Found, _events, merged, read_found, second_steps
 from kinegraph.operators.segmentation.evaluation.picture import NEAREST, _matrix, distances
 from kinegraph.operators.segmentation.evaluation.scores import boundary_f1, covering, intervals, score
@@ -317,3 +318,50 @@ def test_a_boundary_exactly_the_tolerance_away_is_matched_whatever_rounding_make
     assert late - early > 1.0
     assert boundary_f1(early, late)[0] == boundary_f1(late, early)[0] == 1.0
     assert boundary_f1(early, late + 0.001)[0] == 0.0
+
+
+def test_the_thesiss_measures_judge_a_frame_by_its_cluster() -> None:
+    """Cutting often does not help: of two clusters, one is mostly "walk"; a piece of "run" in it is wrong."""
+    known = truth([(0, 10, "walk", np.nan), (12, 22, "run", np.nan)], keys=(1.0, 3.5))
+    made = found(
+        [0, 11, 22], primitives=[0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 22], cluster=[0, 0, 0, 0, 0, 1, 1, 1, 1, 0]
+    )
+    own = thesis_scores(made, known)
+    assert own.strict == pytest.approx((10 + 6) / 22, abs=0.01), (
+        "4 s of running lie in the walk's cluster, 2 s are a transition"
+    )
+    assert own.tolerant == pytest.approx((10 + 6 + 2) / 22, abs=0.01)
+    assert own.matched == pytest.approx((10 + 6) / 22, abs=0.01)
+    assert own.key_place == pytest.approx((0.5 + 0.75) / 2)
+    blind = thesis_scores(found([0, 22], primitives=np.arange(0, 23), cluster=[0] * 22), known)
+    assert blind.strict == pytest.approx(10 / 22, abs=0.01), "a cut every second in one cluster gains nothing"
+
+
+def test_variance_in_clusters_is_that_of_equation_2_5() -> None:
+    made = found([0, 4], cluster=[0, 0], primitives=[0, 2, 4])
+    made.time, made.features = np.arange(8) / 2, np.array([[0.0], [1], [2], [3], [1], [2], [3], [4]])
+    assert variances(made) == pytest.approx([naive_warped(made.features[:4], made.features[4:]) / 4])
+
+
+def naive_warped(a, b):
+    """Every warping path, by recursion."""
+
+    def best(i, j):
+        here = abs(float(a[i, 0] - b[j, 0]))
+        if i == j == 0:
+            return here
+        ways = [best(k, m) for k, m in ((i - 1, j - 1), (i - 1, j), (i, j - 1)) if k >= 0 and m >= 0]
+        return here + min(ways)
+
+    return best(len(a) - 1, len(b) - 1)
+
+
+def test_the_command_reports_as_in_the_thesis(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "found.csv").write_text(
+        "start_s,end_s,activity,repetition,cluster\n0,2,1,1,0\n2,4,1,2,0\n4,6,2,1,1\n6,8,2,2,1\n"
+    )
+    (tmp_path / "true.csv").write_text("start_s,end_s,label\n0,4,walk\n4,8,run\n")
+    with succeeding():
+        cli.call("motion evaluate", [str(tmp_path / "found.csv"), str(tmp_path / "true.csv"), "--as-in-thesis"])
+    text = capsys.readouterr().out
+    assert "frames by cluster, strict" in text and "1.000" in text

@@ -17,6 +17,7 @@ from kinegraph.stream.system.atomic_file import private_folder
 from kinegraph.stream.text.safe_text import say
 
 if TYPE_CHECKING:
+    from kinegraph.operators.segmentation.evaluation.as_in_thesis import ThesisScores
     from kinegraph.operators.segmentation.evaluation.found import Found
     from kinegraph.operators.segmentation.evaluation.scores import Scores
     from kinegraph.operators.segmentation.evaluation.truth import Truth
@@ -34,6 +35,20 @@ SHOWN = {
     "overlap": "overlap with one unit",
     "key_place": "key point's place",
     "key_sd": "key point's circular sd",
+}
+AS_IN_THESIS = {
+    "strict": "frames by cluster, strict",
+    "tolerant": "frames by cluster, tolerant",
+    "matched": "frames, one cluster a label",
+    "clusters": "clusters",
+    "variance": "variance in clusters (eq. 2.5)",
+    "variance_sd": "its sd over clusters",
+    "distance": "start and end to next cut (1/30 s)",
+    "distance_sd": "its sd",
+    "overlap": "overlap with one unit",
+    "overlap_sd": "its sd",
+    "key_place": "key point's place",
+    "key_sd": "key point's sd",
 }
 
 
@@ -59,6 +74,10 @@ def evaluate(
         float, typer.Option(min=0.0, help="of the matrix, in the features' unit [default: as it was found]")
     ] = 0.0,
     output: Annotated[File | None, typer.Option("-o", "--out", help="folder for the pictures and scores.csv")] = None,
+    as_in_thesis: Annotated[
+        bool,
+        typer.Option("--as-in-thesis", help="the thesis's own measures instead; variances need --features"),
+    ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="replace files that exist")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -70,6 +89,7 @@ def evaluate(
 
     Of a batch's results every job is evaluated, and each combination of settings has its own mean.
     """
+    from kinegraph.operators.segmentation.evaluation.as_in_thesis import thesis_means, thesis_scores
     from kinegraph.operators.segmentation.evaluation.found import read_found
     from kinegraph.operators.segmentation.evaluation.picture import draw
     from kinegraph.operators.segmentation.evaluation.scores import intervals, score
@@ -81,14 +101,21 @@ def evaluate(
     wanted = _wanted(result, truth, table, offset)
     scores: dict[str, Scores] = {}
     groups: dict[str, dict[str, Scores]] = {}
+    as_printed: dict[str, ThesisScores] = {}
     for name, settings, made, (annotated, late) in wanted:
         found, known = read_found(made, node, features), read_truth(annotated, late)
         _meet(made, found, annotated, known)
+        if as_in_thesis:
+            as_printed[name] = thesis_scores(found, known)
+            continue
         scores[name] = groups.setdefault(settings, {})[name] = score(found, known)
         if output:
             picture = f"{name.replace('/', '_')}.png"
             _save(output, picture, overwrite)
             draw(name, found, known, radius or float("nan")).savefig(output / picture, dpi=120)
+    if as_in_thesis:
+        _show_as_in_thesis(as_printed, thesis_means(list(as_printed.values())), as_json)
+        return
     if as_json:
         means = {settings: intervals(list(of.values())) for settings, of in groups.items()}
         print_json({"recordings": scores, "mean_and_95_percent_interval": means})
@@ -151,6 +178,23 @@ def _summary(scores: dict[str, Scores], settings: str) -> object:
         if mean == mean:
             made.add_row(SHOWN[name], f"{mean:.3f}", f"{low:.3f} to {high:.3f}" if low == low else "-")
     return made
+
+
+def _show_as_in_thesis(scores: dict[str, ThesisScores], means: dict[str, float], as_json: bool) -> None:
+    from rich.table import Table
+
+    from kinegraph.stream.text.screen import Screen
+
+    if as_json:
+        print_json({"recordings": scores, "mean": means})
+        return
+    made = Table(title=f"as in the thesis, {len(scores)} recording{'s' if len(scores) != 1 else ''}")
+    made.add_column("")
+    made.add_column("mean", justify="right")
+    for name, mean in means.items():
+        if mean == mean:
+            made.add_row(AS_IN_THESIS[name], f"{mean:.3f}")
+    Screen().print(made)
 
 
 def _sheet(path: File, scores: dict[str, Scores]) -> None:
