@@ -92,6 +92,7 @@ class SimulatedClient(BaseBleakClient):
             raise BleakError(f"{self.address} cannot be reached")
         self.services = table(self._here)
         self._here.peripheral.connected(True)
+        self._here.peripheral.say(self._here.seconds)  # what came before the connection reaches no host
         self._task = asyncio.create_task(self._work())
 
     async def disconnect(self) -> None:
@@ -136,6 +137,9 @@ class SimulatedClient(BaseBleakClient):
     async def write_gatt_char(self, characteristic: Any, data: Any, response: bool) -> None:
         if self._task is None:
             raise BleakError("not connected")
+        self._pass(
+            self._here.peripheral.say(self._here.seconds)
+        )  # a start is when it is written, however late this thread is
         result = self._here.peripheral.receive(characteristic.uuid, bytes(data))
         asyncio.get_running_loop().call_soon(self._answer, result)
 

@@ -239,7 +239,7 @@ def test_frames_with_a_counter() -> None:
 
 
 def test_the_documented_sensor_time_in_a_frame_of_its_own() -> None:
-    source = load(WITMOTION).nodes["shank"].part
+    source = load(WITMOTION).nodes["sensor"].part
     assert isinstance(source, Binary)
     assert source.outputs == ("acceleration", "gyro", "angle", "timing")
     server, brain = served(source)
@@ -261,7 +261,7 @@ def test_the_documented_sensor_time_in_a_frame_of_its_own() -> None:
 
 def test_the_sensors_bytes_mean_what_its_manual_says() -> None:
     """Frames as the WT901's manual builds them: 55, type, four int16, the sum of the ten bytes before."""
-    source = load(WITMOTION).nodes["shank"].part
+    source = load(WITMOTION).nodes["sensor"].part
     assert isinstance(source, Binary)
     layouts = source.layouts()
     stamp = bytes.fromhex("55 50 18 0B 15 0A 1E 0F 2C 01")

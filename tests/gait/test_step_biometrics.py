@@ -81,12 +81,12 @@ def test_people_it_has_never_seen_are_told_by_their_manner(manner: str) -> None:
 
 @pytest.mark.nightly
 def test_the_graph_runs_as_it_stands_and_says_what_it_sees(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    kinegraph("run", CONFIG, "--for", "14", "--view", "lines", "-o", tmp_path / "w", "--set", "screen.every=5")
+    kinegraph("run", CONFIG, "--for", "14", "--view", "lines", "-o", tmp_path / "w", "--set", "walk.screen.every=5")
     shown = capsys.readouterr().out
     assert "brisk: " in shown and "steps, " in shown
     with Recording.open(tmp_path / "w") as recording:
-        _, steps = recording.read("steps.steps")
-        _, who = recording.read("who.judgement")
+        _, steps = recording.read("walk.steps.steps")
+        _, who = recording.read("walk.who.judgement")
     assert (steps["kind"] == "walk").sum() >= 8 and str(who["decided"][-1]) == "brisk"
 
 
@@ -103,8 +103,8 @@ def test_it_runs_on_a_phones_recording_with_bursts_and_a_gap(tmp_path: Path) -> 
     write_recording(tmp_path / "phone.mcap", [Series("walker.imu", phone, late[keep], data[keep])], {})
     kinegraph("replay", CONFIG, tmp_path / "phone.mcap", "-o", tmp_path / "again", "--quiet")
     with Recording.open(tmp_path / "again") as recording:
-        _, steps = recording.read("steps.steps")
-        _, who = recording.read("who.judgement")
+        _, steps = recording.read("walk.steps.steps")
+        _, who = recording.read("walk.who.judgement")
     true = Back("shuffling", 160).steps(0, 3000)
     assert abs(len(steps) - len(true)) <= 4 and str(who["decided"][-1]) == "shuffling"
 

@@ -28,11 +28,11 @@ UNITS = ("m/s2",) * 3 + ("rad/s",) * 3
 def pocket(person: str) -> kg.Results:
     written, text = YAML(), StringIO()
     graph = written.load(kg.load("step_biometrics").to_yaml())
-    graph["nodes"]["steps"]["site"] = "pocket"
+    graph["nodes"]["walk.steps"]["site"] = "pocket"
     for judged in ("who", "screen"):
-        del graph["nodes"][judged]
-    graph["record"] = ["steps.steps", "activity.activity"]
-    del graph["page"]
+        del graph["nodes"][f"walk.{judged}"]
+    graph["record"] = ["walk.steps.steps", "walk.activity.activity"]
+    del graph["page"], graph["settings"]
     written.dump(graph, text)
     seconds, imu, _ = pocket_walks(person)
     return kg.Graph.from_yaml(text.getvalue()).run({"walker.imu": signal(imu, None, AXES, UNITS, time_s=seconds)})
@@ -43,14 +43,14 @@ def back(manner: Literal["brisk", "shuffling"]) -> kg.Results:
     imu = Back(manner, 101).measure(np.arange(2500))
     data = np.hstack([imu["acceleration"], imu["angular_velocity"]])
     return kg.load("step_biometrics").run(
-        {"walker.imu": signal(data, 100.0, AXES, UNITS)}, keep=["steps.steps", "who.judgement", "activity.activity"]
+        {"walker.imu": signal(data, 100.0, AXES, UNITS)}, keep=["walk.steps.steps", "walk.who.judgement", "walk.activity.activity"]
     )
 
 
 @pytest.mark.parametrize("person", ["s01", "s04"])
 def test_while_somebody_walks_there_are_as_many_steps_as_the_spectrum_says(person: str) -> None:
     seconds, _, labels = pocket_walks(person)
-    at = np.searchsorted(seconds, pocket(person)["steps.steps"].data["end"] / NS)
+    at = np.searchsorted(seconds, pocket(person)["walk.steps.steps"].data["end"] / NS)
     walked_s = np.diff(seconds, append=seconds[-1])[labels == WALKING].sum()
     assert (labels[at] == WALKING).sum() == pytest.approx(steps_per_s(person) * walked_s, rel=0.1)
 
@@ -59,14 +59,14 @@ def test_while_somebody_walks_there_are_as_many_steps_as_the_spectrum_says(perso
 def test_most_steps_lie_where_the_annotators_saw_walking(person: str) -> None:
     """A pocket's jolts when somebody sits down are taken for steps, too."""
     seconds, _, labels = pocket_walks(person)
-    at = np.searchsorted(seconds, pocket(person)["steps.steps"].data["end"] / NS)
+    at = np.searchsorted(seconds, pocket(person)["walk.steps.steps"].data["end"] / NS)
     afoot = np.isin(labels, (WALKING, TURNING))
     assert afoot[at].mean() > 0.7 > 1.1 * afoot.mean()
 
 
 def test_every_heel_contact_of_a_simulated_walk_is_a_step() -> None:
     contacts = Back("brisk", 101).steps(0, 2500) / 100.0
-    found = back("brisk")["steps.steps"].data["end"] / NS
+    found = back("brisk")["walk.steps.steps"].data["end"] / NS
     late = found[np.abs(found[:, None] - contacts).argmin(axis=0)] - contacts
     assert np.abs(late).max() < 0.25 and late.std() < 0.03  # where in a step a back's jolt comes is each person's own
     assert len(found) == pytest.approx(len(contacts), abs=4)  # the first and last are still slow
@@ -74,4 +74,4 @@ def test_every_heel_contact_of_a_simulated_walk_is_a_step() -> None:
 
 @pytest.mark.parametrize("manner", ["brisk", "shuffling"])
 def test_the_manner_of_a_person_whom_the_model_never_saw_is_judged_right(manner: Literal["brisk", "shuffling"]) -> None:
-    assert back(manner)["who.judgement"].data[-1]["decided"] == manner
+    assert back(manner)["walk.who.judgement"].data[-1]["decided"] == manner

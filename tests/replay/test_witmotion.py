@@ -1,6 +1,6 @@
-"""configs/witmotion.yaml: a WitMotion sensor's angles, smoothed; its serial frames are declared in the graph, without a driver.
+"""configs/witmotion.yaml: a WitMotion sensor's steps and smoothed angles; its serial frames are declared in the graph, without a driver.
 
-Recording: no recording of the sensor may be kept. The tilt of a phone in a walker's pocket (GeoTec; CC BY 4.0) stands in for it, by
+Recording: no recording of the sensor may be kept. The motion and tilt of a phone in a walker's pocket (GeoTec; CC BY 4.0) stands in for it, by
 the sensor's own formula from the direction of the acceleration. How frames are decoded is tested in tests/devices/test_binary.py.
 Truth: scipy's filter on the same angles; the annotators' labels say when the person stood up.
 """
@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfilt, sosfiltfilt
 
 import kinegraph as kg
 from kinegraph.stream.chunk import NS
-from tests.replay.replaying import at, evenly, pocket_walks, signal
+from tests.replay.replaying import WALKING, at, evenly, pocket_walks, signal, steps_per_s
 
 RATE = 100.0
 WALKS, IMU, LABELS = pocket_walks("s01")
@@ -24,10 +24,26 @@ ANGLE[:, 0] = np.unwrap(ANGLE[:, 0], period=360.0)
 
 
 @pytest.fixture(scope="module")
-def tilt() -> kg.Series:
-    still = signal(np.zeros((2, 3)), RATE, "xyz", ("g",))
-    angle = signal(ANGLE, RATE, ("roll", "pitch", "yaw"), ("deg",))
-    return kg.load("witmotion").run({"shank.angle": angle, "shank.acceleration": still, "shank.gyro": still})["tilt"]
+def session() -> kg.Results:
+    given = {
+        "sensor.acceleration": signal(PHONE[:, :3] / 9.80665, RATE, "xyz", ("g",)),
+        "sensor.gyro": signal(np.degrees(PHONE[:, 3:6]), RATE, "xyz", ("deg/s",)),
+        "sensor.angle": signal(ANGLE, RATE, ("roll", "pitch", "yaw"), ("deg",)),
+    }
+    return kg.load("witmotion").run(given, keep=["tilt", "walk.steps.steps", "walk.statistics.statistics"])
+
+
+@pytest.fixture(scope="module")
+def tilt(session: kg.Results) -> kg.Series:
+    return session["tilt"]
+
+
+def test_its_steps_are_as_many_as_the_spectrum_says(session: kg.Results) -> None:
+    walked_s = np.diff(WALKS, append=WALKS[-1])[LABELS == WALKING].sum()
+    at = np.searchsorted(WALKS, session["walk.steps.steps"].data["end"] / NS).clip(max=len(LABELS) - 1)
+    assert (LABELS[at] == WALKING).sum() == pytest.approx(steps_per_s("s01") * walked_s, rel=0.1)
+    cadence = session["walk.statistics.statistics"].data["cadence"]
+    assert np.median(cadence) == pytest.approx(60 * steps_per_s("s01"), rel=0.15)
 
 
 def test_values_are_scipys(tilt: kg.Series) -> None:
