@@ -100,6 +100,7 @@ if TYPE_CHECKING:
     from kinegraph.operators.steering.actors import Actors
     from kinegraph.operators.steps.activity import StepActivity
     from kinegraph.operators.steps.classifier import StepClassifier
+    from kinegraph.operators.steps.step_statistics import StepStatistics
     from kinegraph.operators.steps.steps import Steps
     from kinegraph.operators.strides.footfalls import Footfalls
     from kinegraph.operators.strides.stride_manner import StrideManner
@@ -203,6 +204,7 @@ __all__ = [
     "SteerMesh",
     "StepActivity",
     "StepClassifier",
+    "StepStatistics",
     "Steps",
     "StrideManner",
     "StrideShape",
@@ -313,6 +315,7 @@ __getattr__, __dir__ = offered(
         "SteerMesh": "kinegraph.operators.steering",
         "StepActivity": "kinegraph.operators.steps.activity",
         "StepClassifier": "kinegraph.operators.steps.classifier",
+        "StepStatistics": "kinegraph.operators.steps.step_statistics",
         "Steps": "kinegraph.operators.steps.steps",
         "StrideManner": "kinegraph.operators.strides.stride_manner",
         "StrideShape": "kinegraph.operators.strides.stride_shape",

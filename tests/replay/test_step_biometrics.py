@@ -43,7 +43,8 @@ def back(manner: Literal["brisk", "shuffling"]) -> kg.Results:
     imu = Back(manner, 101).measure(np.arange(2500))
     data = np.hstack([imu["acceleration"], imu["angular_velocity"]])
     return kg.load("step_biometrics").run(
-        {"walker.imu": signal(data, 100.0, AXES, UNITS)}, keep=["walk.steps.steps", "walk.who.judgement", "walk.activity.activity"]
+        {"walker.imu": signal(data, 100.0, AXES, UNITS)},
+        keep=["walk.steps.steps", "walk.who.judgement", "walk.activity.activity"],
     )
 
 

@@ -1,6 +1,6 @@
 """configs/witmotion.yaml: a WitMotion sensor's steps and smoothed angles; its serial frames are declared in the graph, without a driver.
 
-Recording: no recording of the sensor may be kept. The motion and tilt of a phone in a walker's pocket (GeoTec; CC BY 4.0) stands in for it, by
+Recording: no recording of the sensor may be kept. A phone in a walker's pocket (GeoTec; CC BY 4.0) stands in for it, its tilt by
 the sensor's own formula from the direction of the acceleration. How frames are decoded is tested in tests/devices/test_binary.py.
 Truth: scipy's filter on the same angles; the annotators' labels say when the person stood up.
 """

@@ -113,7 +113,7 @@ def pairs(found: Found) -> dict[int, list[tuple[int, int]]]:
     """Repetitions of one cluster, two by two: of each cluster at most PAIRS, evenly chosen."""
     made = {}
     for cluster in np.unique(found.cluster[(found.repetition > 0) & (found.cluster >= 0)]):
-        own = list(combinations(np.flatnonzero((found.cluster == cluster) & (found.repetition > 0)), 2))
+        own = list(combinations(np.flatnonzero((found.cluster == cluster) & (found.repetition > 0)).tolist(), 2))
         if own:
             made[int(cluster)] = own[:: -(-len(own) // PAIRS)]
     return made
@@ -130,7 +130,8 @@ def variances(found: Found) -> Array:
         np.mean([warped(at[i], at[j]) for i, j in chosen if len(at[i]) and len(at[j])])
         for chosen in pairs(found).values()
     ]
-    return np.array(means) / np.sqrt(last - first)
+    found_means: Array = np.asarray(means, np.float64) / np.sqrt(last - first)
+    return found_means
 
 
 def distances_and_overlaps(found: Found, truth: Truth) -> tuple[Array, Array]:
