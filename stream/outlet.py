@@ -78,6 +78,10 @@ class Outlet(Operator[S], Generic[S, R]):
     def keep_time(self, clock: SessionClock) -> None:
         """Receive the clock of a live session, once, before `begin`; not called in replay. For outlets with stamps that others read."""
 
+    def follow_disk(self, handed: Callable[[], int], saved: Callable[[], int]) -> None:
+        """Receive, of a live session, the newest arrival (ns) that its recording was handed and the one up to which it is on the disk;
+        called once, before `begin`. For outlets whose words must not outlive what a killed session can be resumed from."""
+
     def let_stop(self, stop: Callable[[], None]) -> None:
         """Receive a function that ends a live session in order, from any thread; called once, before `begin`, and not in replay."""
 

@@ -79,6 +79,12 @@ class Feed(Protocol):
     def again(self) -> bool:
         """Whether the source was open before in this session."""
 
+    def position(self, output: str = "out") -> int:
+        """Up to when (ns) the session has this output's stream, also from before it was resumed: later samples enter. NEVER: nothing."""
+
+    def saved(self) -> int:
+        """Up to which arrival (ns of session time) the recording is on the disk; FOREVER where nothing is recorded."""
+
 
 class Source:
     """A device, file or simulator. Subclasses are frozen dataclasses of parameters.
@@ -92,6 +98,9 @@ class Source:
     """Whether a session may start and end without this source (a person's annotations)."""
     rate_tolerance: ClassVar[float] = 0.03
     """By which share samples may come at another rate than declared before that is a finding."""
+    continues: ClassVar[bool] = False
+    """Whether it goes on where the session's stream ends (`Feed.position`) whenever it is opened: then nothing is missing after an outage,
+    and nothing is assumed to have happened meanwhile."""
     may_appear: ClassVar[bool] = False
     """Whether what is `missing` before a session may well come by itself (a stream of another program): it is named and waited for."""
 

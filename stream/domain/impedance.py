@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import structlog
 
-from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.chunk import FOREVER, NEVER, Chunk
 
 log = structlog.get_logger(__name__)
 
@@ -61,3 +61,9 @@ class LoneFeed:
         log.info(kind, **facts)
 
     def device_clock(self, **facts: float) -> None: ...
+
+    def position(self, output: str = "out") -> int:
+        return NEVER
+
+    def saved(self) -> int:
+        return FOREVER

@@ -117,6 +117,8 @@ class IngressPort:
             self.stale = True
             report("stream is stale", stream=self.stream, age_s=round(age_s, 2))
         until = now - int(options.patience_s * NS)
+        if self.supervisor.source.continues:
+            return None
         if not self.has_readers or not 0 < options.patience_s < age_s or until <= self.watermark:
             return None
         if not self.silent:
@@ -278,6 +280,7 @@ class Ingress:
             port.queue.on_drop = _dropped(session_log, port.stream)
             port.supervisor.inline[port.output] = self.inline(port)
         for supervisor in supervisors:
+            supervisor.position, supervisor.saved = self._position(supervisor), session_log.saved
             supervisor.has_readers = any(port.has_readers for port in self.ports if port.supervisor is supervisor)
 
     def declare(self, prior: PriorSession | None) -> None:
@@ -289,6 +292,17 @@ class Ingress:
                 port.watermark = prior.checkpoint.promised.get(port.stream, NEVER)
         if prior:
             self._start.excuse([port.supervisor for port in self.ports if prior.recorded(port.stream)])
+
+    def _position(self, supervisor: SourceSupervisor) -> Callable[[str], int]:
+        """Up to when the session has a source's outputs, with what waits in their queues."""
+        ports = {port.output: port for port in self.ports if port.supervisor is supervisor}
+
+        def position(output: str) -> int:
+            port = ports[output]
+            waiting = [item[0].until for item in port.queue.waiting] + [chunk.until for chunk, _ in port.queue.gathered]
+            return int(max([port.watermark, *waiting]))
+
+        return position
 
     def tell(self, node: str, text: str) -> None:
         """Give a source what a person typed for it; raises KinegraphError if it cannot be."""

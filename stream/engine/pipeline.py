@@ -228,8 +228,11 @@ class Pipeline:
             stage.close()
             settle()
 
-    def begin(self, clock: SessionClock | None = None) -> None:
-        """Let the outlets touch the world; `clock` is a live session's. Observers have been added before."""
+    def begin(
+        self, clock: SessionClock | None = None, disk: tuple[Callable[[], int], Callable[[], int]] | None = None
+    ) -> None:
+        """Let the outlets touch the world; `clock` is a live session's, and `disk` what its recording was handed and has saved (see
+        `Outlet.follow_disk`). Observers have been added before."""
         self.compile()
         for stage in self.outlets:
             assert isinstance(stage.operator, Outlet)
@@ -237,6 +240,8 @@ class Pipeline:
                 stage.operator.meet(self.graph)
                 if clock:
                     stage.operator.keep_time(clock)
+                if disk:
+                    stage.operator.follow_disk(*disk)
                 if clock and self._stop:
                     stage.operator.let_stop(self._stop)
                 stage.operator.begin()

@@ -37,7 +37,7 @@ def catch_up(
     checkpoint, recording = prior.checkpoint, prior.recording
     log.info("resuming an interrupted session", folder=str(session_log.folder))
     _hush(pipeline, lambda outlet: not outlet.durable)
-    pipeline.begin(clock)
+    pipeline.begin(clock, (session_log.handed, session_log.saved))
     workers.repeat(recorded_drops(recording.log), checkpoint.indices if checkpoint else {})
     by_name = {port.stream: port for port in ports}
     substitutes = Substitutes.of(pipeline.graph, recording.streams)
@@ -54,7 +54,7 @@ def catch_up(
     for port in ports:
         if port.ended:
             port.watermark = clock.utc_ns - 1  # it had ended then; now it begins again
-        port.pending_gap = -1  # also where the first chunks, which say so, come before the common start
+        port.pending_gap = 0 if port.supervisor.source.continues else -1  # also where the first chunks, which say so, come before the common start
     _hush(pipeline, lambda outlet: False)
     for edge in pipeline.edges.values():
         edge.promised = NEVER  # what had ended goes on

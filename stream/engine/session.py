@@ -192,7 +192,7 @@ class Session:
         if self._prior:
             catch_up(self._prior, self.pipeline, self._ingress.ports, self._workers, self.log, self.clock, self._pump)
         else:
-            self.pipeline.begin(self.clock)
+            self.pipeline.begin(self.clock, (self.log.handed, self.log.saved))
             self._checkpoint()
         self._ingress.begin()
         for supervisor in sorted(self._supervisors, key=lambda supervisor: not supervisor.source.background):

@@ -280,6 +280,14 @@ class SessionLog:
             for path in parts_of(self.folder, before=part):
                 path.unlink()
 
+    def handed(self) -> int:
+        """The newest arrival (ns) that the recording was handed; FOREVER where nothing is recorded."""
+        return self.recorder.handed if self.recorder else FOREVER
+
+    def saved(self) -> int:
+        """Up to which arrival (ns) the recording is on the disk; FOREVER where nothing is recorded."""
+        return self.recorder.saved if self.recorder else FOREVER
+
     @property
     def status(self) -> RecorderStatus | None:
         return self.recorder.status if self.recorder else None

@@ -11,7 +11,7 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 import structlog
 
-from kinegraph.stream.chunk import FOREVER, NS, Chunk, empty
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, empty
 from kinegraph.stream.domain.claims import ClaimGate
 from kinegraph.stream.domain.finding import REPORT, Finding
 from kinegraph.stream.domain.rotation import RotationSigns, rotations
@@ -90,7 +90,7 @@ class _Feed:
         self._stop = threading.Event()
         self._over = False
         self.again = again
-        self._unmarked = set(supervisor.queues) if again else set()
+        self._unmarked = set(supervisor.queues) if again and not supervisor.source.continues else set()
 
     @property
     def stopped(self) -> bool:
@@ -133,6 +133,12 @@ class _Feed:
     def device_clock(self, **facts: float) -> None:
         self._supervisor.clock_facts = facts
 
+    def position(self, output: str = "out") -> int:
+        return self._supervisor.position(output)
+
+    def saved(self) -> int:
+        return self._supervisor.saved()
+
     def emit(self, chunk: Chunk, output: str = "out") -> None:
         if self._over:
             raise _StopReadingError
@@ -170,6 +176,7 @@ class SourceSupervisor:
     problems   what the source counted, by kind
     clock_facts   its last report on its device's clock
     openings   how often the source was opened
+    position, saved   what `Feed` asks
     """
 
     def __init__(
@@ -198,6 +205,8 @@ class SourceSupervisor:
         }
         self.findings: list[Finding] = []
         self.has_readers = True
+        self.position: Callable[[str], int] = lambda output: NEVER
+        self.saved: Callable[[], int] = lambda: FOREVER
         self.now: Callable[[], int] = clock.now
         self.mailbox: SimpleQueue[str | None] = SimpleQueue()
         self.problems: Counter[str] = Counter()

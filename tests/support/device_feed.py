@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import psutil
 
-from kinegraph.stream.chunk import Array, Chunk, Times
+from kinegraph.stream.chunk import FOREVER, NEVER, Array, Chunk, Times
 from kinegraph.stream.source import Source
 from tests.support.queued import check_queued
 
@@ -62,6 +62,13 @@ class Kept:
 
     def tell(self, kind: str, **facts: str | float) -> None:
         self.reports.append((kind, facts))
+
+    def position(self, output: str = "out") -> int:
+        chunks = self.chunks.get(output)
+        return chunks[-1].until if chunks else NEVER
+
+    def saved(self) -> int:
+        return FOREVER
 
     def device_clock(self, **facts: float) -> None:
         self.clocks.append(facts)

@@ -12,7 +12,7 @@ import typer
 
 from kinegraph.operators.bed.breath_watch import CONFIDENT, STILL_MM_S
 from kinegraph.operators.bed.setup.judgement import BedFinding
-from kinegraph.stream.chunk import NS, Chunk
+from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk
 from kinegraph.stream.cli.commands.json_option import AsJson, print_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
@@ -200,3 +200,9 @@ class Looks:
     def tell(self, kind: str, **facts: str | float) -> None: ...
 
     def device_clock(self, **facts: float) -> None: ...
+
+    def position(self, output: str = "out") -> int:
+        return NEVER
+
+    def saved(self) -> int:
+        return FOREVER

@@ -171,6 +171,16 @@ class Recorder:
         return self._segments.number
 
     @property
+    def handed(self) -> int:
+        """The newest arrival so far (ns)."""
+        return self._rounds.newest
+
+    @property
+    def saved(self) -> int:
+        """Up to which arrival everything is on the disk (ns)."""
+        return self._writer.done
+
+    @property
     def status(self) -> RecorderStatus:
         return RecorderStatus(
             bytes=self._segments.saved,

@@ -1,0 +1,1 @@
+"""Tests of NATS JetStream between machines, and of the ward."""

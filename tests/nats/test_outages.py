@@ -1,0 +1,175 @@
+"""Outages between a bed and the centre: delay and nothing else, or a gap with its count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from kinegraph.devices.nats.link import Link
+from kinegraph.devices.nats.local_server import LocalServer
+from kinegraph.devices.nats.messages import DATA, Position, StreamReader, subject
+from kinegraph.devices.nats.server import NatsServer
+from kinegraph.stream.chunk import NEVER, Chunk
+from tests.support.device_feed import Kept
+from tests.support.mosquitto import eventually, free_port
+from tests.support.nats_site import SPEC, folders, make, numbers, receiving, samples, sending, server, vanish
+
+__all__ = ["folders", "server"]
+
+
+@pytest.fixture
+def mortal(tmp_path: Path, server: LocalServer) -> Iterator[LocalServer]:
+    """A server that a test may kill."""
+    made = LocalServer(tmp_path / "mortal", free_port()).start()
+    make(made)
+    yield made
+    made.stop()
+
+
+def test_a_killed_server_is_delay_and_nothing_else(mortal: LocalServer) -> None:
+    with sending("bed", mortal) as bed, receiving("bed", mortal) as centre:
+        bed.process("x", samples(0, 50))
+        eventually(lambda: len(numbers(centre)) == 50)
+        mortal.kill()
+        for at in range(50, 500, 10):
+            bed.process("x", samples(at, 10))
+        mortal.start()
+        bed.process("x", samples(500, 10))
+        eventually(lambda: len(numbers(centre)) >= 510)
+    assert numbers(centre) == list(range(510)) and not centre.lost("out")
+
+
+def test_a_network_that_is_gone_for_a_while_is_delay_and_nothing_else(mortal: LocalServer) -> None:
+    with sending("bed", mortal) as bed, receiving("bed", mortal) as centre:
+        mortal.pause()
+        for at in range(0, 400, 10):
+            bed.process("x", samples(at, 10))
+        mortal.resume()
+        eventually(lambda: len(numbers(centre)) >= 400)
+    assert numbers(centre) == list(range(400)) and not centre.lost("out")
+
+
+def test_a_bed_that_starts_without_a_server_sends_later(mortal: LocalServer) -> None:
+    mortal.stop()
+    with sending("bed", mortal) as bed:
+        bed.process("x", samples(0, 100))
+    assert not bed.undelivered
+    mortal.start()
+    with sending("bed", mortal) as bed, receiving("bed", mortal) as centre:
+        bed.process("x", samples(200, 10))
+        eventually(lambda: len(numbers(centre)) == 110)
+    assert numbers(centre) == [*range(100), *range(200, 210)]
+    assert centre.lost("out") == {100: -1}  # between two sessions, an unknown number
+
+
+def test_what_a_full_spool_drops_is_a_gap_with_its_count(mortal: LocalServer) -> None:
+    mortal.stop()
+    with sending("bed", mortal, spool_mb=0.05) as bed:
+        for at in range(0, 10_000, 100):
+            bed.process("x", samples(at, 100))
+            bed.snapshot()  # brings to the disk what waits
+        mortal.start()
+        with receiving("bed", mortal) as centre:
+            eventually(lambda: numbers(centre)[-1:] == [9999])
+    came, lost = numbers(centre), centre.lost("out")
+    assert came == list(range(10_000 - len(came), 10_000)) and lost == {0: 10_000 - len(came)} and len(came) < 3000
+    assert "was full" in bed.undelivered
+
+
+def test_what_the_servers_limits_discarded_is_a_gap_with_its_count(mortal: LocalServer) -> None:
+    with sending("bed", mortal) as bed:
+        with receiving("bed", mortal, start="continue") as centre:
+            bed.process("x", samples(0, 10))
+            eventually(lambda: len(numbers(centre)) == 10)
+        for at in range(10, 60, 10):
+            bed.process("x", samples(at, 10))
+            bed.snapshot()
+        eventually(lambda: not bed.runtime.sender or not bed.runtime.sender.waiting)
+        link = Link(NatsServer(mortal.url), "test")
+        assert link.wait(10)
+        last = link.call(link.stream.stream_info(DATA)).state.last_seq
+        link.call(link.stream.purge_stream(DATA, seq=last))
+        link.close()
+        with receiving("bed", mortal, start="continue") as centre:
+            eventually(lambda: bool(numbers(centre)))
+    assert numbers(centre) == list(range(50, 60)) and centre.lost("out") == {0: 40}
+    assert centre.problems["discarded before it was read"] == 40
+
+
+def test_a_server_that_loses_its_disk_costs_what_was_not_read_and_that_is_counted(mortal: LocalServer) -> None:
+    with sending("bed", mortal) as bed:
+        with receiving("bed", mortal, start="continue") as centre:
+            bed.process("x", samples(0, 10))
+            eventually(lambda: len(numbers(centre)) == 10)
+        bed.process("x", samples(10, 30))
+        eventually(lambda: not bed.runtime.sender or bed.runtime.sender.sent == 2)
+        mortal.kill()
+        mortal.lose_disk()
+        mortal.start()
+        with receiving("bed", mortal, start="continue") as centre:
+            bed.process("x", samples(40, 10))
+            eventually(lambda: len(numbers(centre)) == 10)
+    assert numbers(centre) == list(range(40, 50)) and centre.lost("out") == {0: 30}
+
+
+def test_a_killed_bed_goes_on_where_its_checkpoint_was_and_nothing_comes_twice(server: LocalServer) -> None:
+    with receiving("killed", server) as centre:
+        with sending("killed", server) as bed:
+            bed.process("x", samples(0, 50))
+            kept = bed.snapshot()
+            bed.process("x", samples(50, 50))
+            eventually(lambda: len(numbers(centre)) == 100)
+            bed.process("x", samples(100, 20))
+            vanish(bed)
+        with sending("killed", server, begun=False) as bed:
+            bed.restore(kept)
+            bed.begin()
+            for at in range(50, 140, 30):  # cut otherwise than before
+                bed.process("x", samples(at, 30))
+            eventually(lambda: len(numbers(centre)) >= 140)
+    assert numbers(centre) == list(range(140)) and not centre.lost("out")
+    assert centre.problems["repeated, left out"] >= 50
+
+
+def test_a_session_that_is_resumed_reads_on_where_its_recording_ends(server: LocalServer) -> None:
+    with sending("resumed", server) as bed:
+        for at in range(0, 100, 10):
+            bed.process("x", samples(at, 10))
+            bed.snapshot()
+        with receiving("resumed", server, start="continue") as centre:
+            eventually(lambda: len(numbers(centre)) == 100)
+        for until, first in (
+            (samples(0, 43).until, 43),
+            (samples(0, 100).until, 100),
+        ):  # behind what was written down, and at it
+            bed.process("x", samples(100, 10)) if first == 100 else None
+            feed = Kept()
+            feed.position = lambda output="out", until=until: until  # type: ignore[method-assign]
+            with receiving("resumed", server, feed, start="continue") as centre:
+                eventually(lambda: bool(numbers(centre)) and numbers(centre)[-1] in (99, 109))
+            assert numbers(centre)[0] == first and not centre.lost("out")
+
+
+def test_a_reader_decides_by_stamps_what_is_new_and_by_the_index_what_is_missing() -> None:
+    from kinegraph.devices.nats.messages import Gathering
+
+    def message(*chunks: Chunk, first: int, session: str = "s") -> bytes:
+        gathering = Gathering(SPEC, subject("b", "data", "x"), session, first)
+        for chunk in chunks:
+            assert not list(gathering.add(chunk, 0, NEVER))
+        return next(gathering.due(0, last=True)).body
+
+    reader = StreamReader(SPEC, Position(index=0))
+    assert len(reader.read(1, "s", message(samples(0, 5), samples(5, 5), first=0))) == 2
+    assert reader.read(2, "s", message(samples(0, 10), first=0)) == []
+    (rest,) = reader.read(3, "s", message(samples(8, 4), first=8))
+    assert rest.data[:, 0].tolist() == [10, 11] and rest.lost == 0
+    (after,) = reader.read(4, "s", message(samples(20, 2), first=20))
+    assert after.lost == 8 and reader.discarded == 8
+    # after a power cut the bed has forgotten samples that came here: the index is lower, the stamps are new
+    (new,) = reader.read(5, "s", message(samples(30, 2), first=18))
+    assert new.data[:, 0].tolist() == [30, 31] and new.lost == 0
+    (other,) = reader.read(6, "t", message(samples(40, 2), first=0, session="t"))
+    assert other.lost == -1
