@@ -189,7 +189,7 @@ class _Reading:
         if position.until <= until:
             position.until = until
             return position, created, offset
-        return Position(until=until), "", offset
+        return Position(until=until), created, offset
 
     def run(self) -> None:
         feed, of = self._feed, self._of
