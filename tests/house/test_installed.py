@@ -33,10 +33,12 @@ HOUSE = Path(__file__).resolve().parents[2]
 NAMES = {p.stem for p in (HOUSE / "configs").glob("*.yaml")}
 
 
-def run(*command: object, cwd: Path, code: int = 0) -> str:
+def run(*command: object, cwd: Path, code: int = 0, timeout_s: float = 200) -> str:
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     environment = {**kept, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
-    done = subprocess.run([*map(str, command)], cwd=cwd, env=environment, capture_output=True, text=True, timeout=200)
+    done = subprocess.run(
+        [*map(str, command)], cwd=cwd, env=environment, capture_output=True, text=True, timeout=timeout_s
+    )
     assert done.returncode == code, f"{command}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
     return done.stdout
 

@@ -146,7 +146,9 @@ def test_every_shipped_graph_starts_without_compiling(python: Path, tmp_path: Pa
 @pytest.mark.timeout(3000)
 def test_operators_keep_the_laws_and_give_the_same_bits_as_compiled_at_home(python: Path, tmp_path: Path) -> None:
     def of(which: str) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads(run(python, "-c", LAWS, which, 3, cwd=tmp_path).splitlines()[-1])
+        found: dict[str, Any] = json.loads(
+            run(python, "-c", LAWS, which, 3, cwd=tmp_path, timeout_s=1500).splitlines()[-1]
+        )
         return found
 
     home = of("home")["digests"]

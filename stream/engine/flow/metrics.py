@@ -90,29 +90,21 @@ def tally(times: Times, k: int, histogram: Times) -> tuple[int, int]:
     return calls, longest
 
 
-@kernel
 def take_stock(recent: Times, total: Times) -> tuple[int, int, int, int]:
     """Count the recent calls among all; returns the bins that hold the median and the 99th percentile of both."""
-    p50, p99 = quantiles(recent)
-    for k in range(len(recent)):
-        total[k] += recent[k]
-        recent[k] = 0
-    all_p50, all_p99 = quantiles(total)
-    return p50, p99, all_p50, all_p99
+    total += recent
+    found = *quantiles(recent), *quantiles(total)
+    recent[:] = 0
+    return found
 
 
-@kernel
 def quantiles(histogram: Times) -> tuple[int, int]:
     """The bins that hold the median and the 99th percentile; -1 where the histogram is empty."""
-    calls = histogram.sum()
-    below, p50, p99 = 0, -1, -1
-    for k in range(len(histogram)):
-        below += histogram[k]
-        if p50 < 0 and below and below >= 0.5 * calls:
-            p50 = k
-        if p99 < 0 and below and below >= 0.99 * calls:
-            p99 = k
-    return p50, p99
+    below = np.cumsum(histogram)
+    if not below[-1]:
+        return -1, -1
+    p50, p99 = np.searchsorted(below, (0.5 * below[-1], 0.99 * below[-1]))
+    return int(p50), int(p99)
 
 
 def _middle(k: int) -> float:

@@ -15,19 +15,11 @@ NAN = np.float32(np.nan)
 
 
 @kernel
-def runs(time: Times, width: int) -> int:
-    """How many runs of stamps (n,) lie in one piece each, where piece k lasts from k to k + 1 times `width`."""
-    count, last = 0, 0
-    for i in range(time.shape[0]):
-        piece = time[i] // width
-        count += count == 0 or piece != last
-        last = piece
-    return count
-
-
-@kernel
 def extremes(data: Array, time: Times, width: int, pieces: Times, low: Rows, high: Rows) -> None:
-    """The minimum and maximum finite value of each of the `runs`, or NaN. What float32 cannot hold counts as not finite.
+    """The minimum and maximum finite value of each run of stamps in one piece, or NaN; piece k lasts from k to k + 1 times `width`.
+
+    What float32 cannot hold counts as not finite.
+
 
     data    (n, c)  numbers
     time    (n,)    their stamps

@@ -59,9 +59,9 @@ class OverviewWriter:
     """Takes a signal's messages as they are written. `width_ns` must not be 0. Making one compiles (or loads) its kernels."""
 
     def __init__(self, spec: StreamSpec, width_ns: int) -> None:
-        from kinegraph.stream.recording.format.extremes import extremes, runs, torn
+        from kinegraph.stream.recording.format.extremes import extremes, torn
 
-        self._count_runs, self._find_extremes, self._find_torn = runs, extremes, torn
+        self._find_extremes, self._find_torn = extremes, torn
         self._spec, self._width = spec, width_ns
         self._channels = prod(spec.shape)
         self._pieces, self._low, self._high = bytearray(), bytearray(), bytearray()
@@ -87,7 +87,8 @@ class OverviewWriter:
         if data.dtype.char not in COMPILED or not data.dtype.isnative:
             with np.errstate(over="ignore"):
                 data = data.astype(np.float32)
-        m = self._count_runs(times, self._width)
+        numbers = times // self._width
+        m = bool(len(times)) + int(np.count_nonzero(numbers[1:] != numbers[:-1]))
         pieces, low, high = np.empty(m, np.int64), *np.empty((2, m, data.shape[1]), np.float32)
         self._find_extremes(data, times, self._width, pieces, low, high)
         return pieces, low, high
