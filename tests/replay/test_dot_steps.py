@@ -24,7 +24,7 @@ def test_its_steps_and_their_cadence_are_those_of_the_spectrum(person: str) -> N
     _, phone = evenly(walks, imu, RATE)
     phone = np.hstack([phone[:, :3], np.degrees(phone[:, 3:6])])
     kept = ("walk.steps.steps", "walk.statistics.statistics")
-    made = kg.load("dot_steps").run({"dot.out": signal(phone, RATE, CHANNELS, UNITS)}, keep=kept)
+    made = kg.load("dot_steps").run({"dot": signal(phone, RATE, CHANNELS, UNITS)}, keep=kept)
     steps, statistics = (made[name].data for name in kept)
     walked_s = np.diff(walks, append=walks[-1])[labels == WALKING].sum()
     at = np.searchsorted(walks, steps["end"] / NS).clip(max=len(labels) - 1)
