@@ -36,6 +36,9 @@ BREATH = np.dtype(
     ]
 )
 """A sleeper's breath in an epoch; see `Breathing`."""
+UNEVEN, MIN_IRREGULAR, USUALLY = 0.3, 0.15, 0.2
+"""How much of the rate its interval grows with what of the wave is not regular, which is taken to be so much at least, and so much where
+it is not known: from uneven breath in rooms of chosen seeds."""
 NIGHT_NS = 4 * 3600 * NS
 """After this long out of bed, coverage is counted from zero."""
 
@@ -81,7 +84,7 @@ class Breathing(Operator[BreathingState]):
                 seen, a pause is in it, or the confidence is below `min_confidence`
     confidence  0 to 1: how far the chest stands out of noise; noise alone seldom reaches one half
     coverage    share of the night's epochs in bed, up to this one, that have a rate; a night ends with 4 h out of bed
-    error       half the width of the rate's 95 % interval (1/min)
+    error       half the width of the rate's 95 % interval (1/min); wider where breaths differ in length
     amplitude   lift of the chest's cells on average, from the 5th to the 95th percentile of the wave (mm)
     regularity  0 to 1: how much of the wave's power is at the rate and at its double
     pauses      how many times, ended in this epoch, no effort was seen for at least 10 s, and `paused_s`: how long in all; NaN while it is
@@ -234,7 +237,7 @@ class Breathing(Operator[BreathingState]):
             s.known[k] += rate == rate
             coverage = float(s.known[k] / s.epochs[k]) if s.epochs[k] else 0.0
             paused = (float(s.wave.pauses[k]), float(s.wave.paused[k])) if s.wave.usual[k] else (math.nan, math.nan)
-            error = breath.error if seen else math.nan
+            error = interval(breath.error, rate, 1 - regular)
             made.append((s.epoch, end, s.sleepers[k], rate, confidence, coverage, error, amplitude, regular, *paused))
         s.wave.pauses[:], s.wave.paused[:] = 0, 0.0
         s.epoch = NEVER
@@ -272,3 +275,9 @@ class Breathing(Operator[BreathingState]):
         lost, s.lost = s.lost, 0
         out = np.array(made, BREATH)
         return Chunk(out["end"] - 1, out, until, lost)
+
+
+def interval(error: float, rate: float, irregular: float) -> float:
+    """Half of the interval of a rate that noise alone would know to `error`: breaths of different lengths have no one rate."""
+    irregular = max(irregular, MIN_IRREGULAR) if irregular == irregular else USUALLY
+    return math.hypot(error, UNEVEN * rate * irregular)

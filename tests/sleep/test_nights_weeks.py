@@ -212,3 +212,25 @@ def test_a_night_is_handed_over_as_one_page(kinegraph: Command, tmp_path: Path) 
     assert code == 0 and "night.pdf" in out
     assert content.startswith(b"%PDF-") and content.count(b"/Type /Page\n") + content.count(b"/Type /Page ") == 1
     refused(kinegraph("sleep", "nights", "report", "last", "--path", tmp_path, "-o", "x.png"), "ends in .pdf")
+
+
+def test_breath_has_a_trend_over_weeks_and_nights_of_older_versions_have_none(tmp_path: Path) -> None:
+    """14 breaths per minute in the first week, 16 in the second; a pause every ten minutes."""
+    for k, rate in enumerate((14.0, 14.2, 16.0, 16.2)):
+        folder = logged(tmp_path, f"2026-11-{(3, 4, 10, 11)[k]:02}T23:00", "s" * 14)
+        lines = (folder / EPOCHS).read_text().splitlines()
+        known = {"breaths_per_min": f"{rate}", "lift_mm": "4.5"}
+        made = [lines[0]]
+        for n, line in enumerate(lines[1:]):
+            cells = dict(zip(COLUMNS, line.split(","), strict=True))
+            made.append(",".join({**cells, **known, "pauses": str(int(n % 20 == 0))}[name] for name in COLUMNS))
+        (folder / EPOCHS).write_text("\n".join(made) + "\n")
+    older = logged(tmp_path, "2026-11-12T23:00", "s" * 14)
+    rows = weeks.rows(tmp_path)
+    assert [(r.breaths, r.lift, r.pauses) for r in rows[:1]] == [(14.0, 4.5, 6.0)] and np.isnan(rows[-1].breaths), older
+    trends = list(csv.DictReader(weeks_page.trends_table(rows, weeks.FREE).splitlines()))
+    assert [line["breaths"] for line in trends] == ["14.1", "16.1"]
+    found = {d.name: d for d in weeks.compare(rows[:2], rows[2:])}
+    assert found["Breathing rate"].difference == pytest.approx(2.0)
+    page = weeks_page.page(rows, weeks.FREE, (), (), months=False)
+    assert "14.1 mm" not in page and "4.5 mm" in page and "no effort seen /h" in page

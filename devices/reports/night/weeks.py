@@ -6,6 +6,7 @@ so that nothing wraps at midnight and daylight saving moves no bed time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
@@ -37,6 +38,8 @@ class NightRow:
     bed, rise, middle   hours after the evening's noon: into bed, out of it, the middle of sleep; NaN: not known
     minutes  asleep, awake and unknown in the time in bed
     day      (2880,) what it says of each half minute from noon on: 1 asleep, 0 awake, NaN not known or not in bed
+    breaths, lift, pauses   breaths per minute and lift of the chest (mm), each the median of the epochs; and how many times per hour no
+                            effort was seen for 10 s; NaN: not known
     """
 
     name: str
@@ -51,6 +54,9 @@ class NightRow:
     unknown: float
     efficiency: float
     day: Samples
+    breaths: float = math.nan
+    lift: float = math.nan
+    pauses: float = math.nan
 
 
 def row(folder: Path, facts: Facts) -> NightRow:
@@ -80,7 +86,20 @@ def row(folder: Path, facts: Facts) -> NightRow:
     return NightRow(
         folder.name, evening, "nap" if nap else "night", bed, rise, middle, in_bed, asleep, counts["wake"],
         max(0.0, in_bed - counts["sleep"] - counts["wake"]), 100 * asleep / in_bed if in_bed else np.nan, day,
+        *_breath(part),
     )  # fmt: skip
+
+
+def _breath(part: LoggedEpochs) -> tuple[float, float, float]:
+    """Breaths per minute, lift (mm), pauses per hour; NaN where the log has none."""
+    rate, lift, pauses = (part.numbers.get(name, np.empty(0)) for name in ("breaths_per_min", "lift_mm", "pauses"))
+    rate, lift, pauses = (known[np.isfinite(known)] for known in (rate, lift, pauses))
+    hours = len(pauses) * float(np.median(part.end - part.onset)) / (3600 * NS) if len(pauses) else 0.0
+    return (
+        float(np.median(rate)) if len(rate) else math.nan,
+        float(np.median(lift)) if len(lift) else math.nan,
+        float(pauses.sum()) / hours if hours else math.nan,
+    )
 
 
 def rows(root: Path, sleeper: str = "", missed: archive.Missed = lambda _: None) -> list[NightRow]:
@@ -148,6 +167,9 @@ class Trend:
     jet_lag: float
     regularity: float
     pairs: int
+    breaths: float
+    lift: float
+    pauses: float
 
 
 def trend(
@@ -162,6 +184,7 @@ def trend(
         sum(r.kind == "unfinished" for r in chosen), *_both(nights, lambda r: r.asleep), _mean(nights, lambda r: r.efficiency),
         _mean(nights, lambda r: r.awake), _mean(nights, lambda r: r.unknown), *_both(nights, lambda r: r.bed),
         *_both(nights, lambda r: r.rise), jet_lag(nights, free), index, pairs,
+        _mean(nights, lambda r: r.breaths), _mean(nights, lambda r: r.lift), _mean(nights, lambda r: r.pauses),
     )  # fmt: skip
 
 
@@ -231,6 +254,9 @@ NUMBERS: tuple[tuple[str, str, Callable[[NightRow], float]], ...] = (
     ("Out of bed at", "h", lambda r: r.rise),
     ("Middle of sleep", "h", lambda r: r.middle),
     ("Not known", "min", lambda r: r.unknown),
+    ("Breathing rate", "/min", lambda r: r.breaths),
+    ("Chest lift", "mm", lambda r: r.lift),
+    ("No effort seen for 10 s", "/h", lambda r: r.pauses),
 )
 
 

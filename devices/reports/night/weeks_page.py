@@ -29,10 +29,12 @@ from kinegraph.stream.text import report
 from kinegraph.stream.text.time_text import hour_of_day, in_hours
 
 Period = tuple[date, date]
+FINE = ("/min", "mm", "/h")
+"""Units of which tenths are shown."""
 WIDE, HIGH, LEFT = 720, 9, 96
 COLUMNS = (
     "evening", "night", "kind", "in_bed_from", "out_of_bed_at", "middle_of_sleep", "in_bed_min", "asleep_min", "awake_min", "unknown_min",
-    "efficiency_percent",
+    "efficiency_percent", "breaths_per_min", "chest_lift_mm", "pauses_per_h",
 )  # fmt: skip
 
 
@@ -42,7 +44,7 @@ def table(of: Sequence[NightRow], since: date | None = None, until: date | None 
     lost = [[day.isoformat(), "", "missing", *[""] * (len(COLUMNS) - 3)] for day in missing(chosen, since, until)]
     made = [
         [r.evening.isoformat(), r.name, r.kind, *(hour_of_day(t) if t == t else "" for t in (r.bed, r.rise, r.middle)),
-         *(f"{v:.4g}" if v == v else "" for v in (r.in_bed, r.asleep, r.awake, r.unknown, r.efficiency))]
+         *(f"{v:.4g}" if v == v else "" for v in (r.in_bed, r.asleep, r.awake, r.unknown, r.efficiency, r.breaths, r.lift, r.pauses))]
         for r in chosen
     ]  # fmt: skip
     return sheet_text([list(COLUMNS), *sorted([*made, *lost], key=lambda line: (line[0], line[1]))])
@@ -104,7 +106,8 @@ def page(
 
 
 HEADS = (
-    "", "nights", "missing", "naps", "asleep", "efficiency", "into bed", "out of bed", "social jet lag", "regularity",
+    "", "nights", "missing", "naps", "asleep", "efficiency", "into bed", "out of bed", "social jet lag", "regularity", "breaths /min",
+    "chest lift", "no effort seen /h",
 )  # fmt: skip
 
 
@@ -116,7 +119,8 @@ def cells(of: Trend) -> list[str]:
     lag = f"{_signed(60 * of.jet_lag)} min" if of.jet_lag == of.jet_lag else "–"
     times = (hour_of_day(of.bed) + spread[0], hour_of_day(of.rise) + spread[1])
     counts = (str(of.nights), str(of.missing), str(of.naps))
-    return [*counts, asleep, efficiency, *times, lag, _whole(of.regularity)]
+    breath = [f"{v:.1f}{unit}" if v == v else "–" for v, unit in ((of.breaths, ""), (of.lift, " mm"), (of.pauses, ""))]
+    return [*counts, asleep, efficiency, *times, lag, _whole(of.regularity), *breath]
 
 
 def _whole(value: float) -> str:
@@ -141,6 +145,10 @@ def words(of: Trend) -> list[str]:
     if of.regularity == of.regularity:
         lines.append(
             f"Sleep regularity index: {of.regularity:.0f} (of {of.pairs} pairs of days; 100: every day the same)."
+        )
+    if of.breaths == of.breaths:
+        lines.append(
+            f"{of.breaths:.1f} breaths per minute, lift of the chest {of.lift:.1f} mm (medians of nights, mean)."
         )
     return lines
 
@@ -180,16 +188,17 @@ def _values(d: Difference) -> tuple[float, ...]:
 
 def _written(d: Difference) -> list[str]:
     clock = d.unit == "h"
-    sides = [hour_of_day(v) if clock else f"{v:.0f} {d.unit}" for v in (d.first, d.second)]
+    fine = int(d.unit in FINE)
+    sides = [hour_of_day(v) if clock else f"{v:.{fine}f} {d.unit}" for v in (d.first, d.second)]
     scale, unit = (60, "min") if clock else (1, d.unit)
     known = np.isfinite([d.low, d.high]).all()
-    interval = f"{_signed(scale * d.low)} to {_signed(scale * d.high)}" if known else "–"
-    return [d.name, *sides, f"{_signed(scale * d.difference)} {unit}", interval]
+    interval = f"{_signed(scale * d.low, fine)} to {_signed(scale * d.high, fine)}" if known else "–"
+    return [d.name, *sides, f"{_signed(scale * d.difference, fine)} {unit}", interval]
 
 
-def _signed(value: float) -> str:
-    """A whole number with its sign; what rounds to 0 has no sign."""
-    return f"{value:+.0f}" if abs(value) > 0.5 or value != value else "0"
+def _signed(value: float, decimals: int = 0) -> str:
+    """A number with its sign; what rounds to 0 has no sign."""
+    return f"{value:+.{decimals}f}" if abs(value) > 0.5 * 10**-decimals or value != value else "0"
 
 
 def _cell(name: str, value: float) -> str:
