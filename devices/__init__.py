@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from kinegraph.devices.cameras.kinect import AzureKinect
     from kinegraph.devices.cameras.orbbec import Orbbec
     from kinegraph.devices.cameras.realsense import RealSense
+    from kinegraph.devices.cameras.video import Video
     from kinegraph.devices.cyton import Cyton
     from kinegraph.devices.dot import MovellaDot
     from kinegraph.devices.fitness_treadmill import FtmsTreadmill
@@ -132,6 +133,7 @@ __all__ = [
     "TriggerOutlet",
     "Trigno",
     "TwoActors",
+    "Video",
     "Vmc",
     "VmcOutlet",
     "VrchatTrackers",
@@ -202,6 +204,7 @@ __getattr__, __dir__ = offered(
         "TriggerOutlet": "kinegraph.devices.outlets.trigger",
         "Trigno": "kinegraph.devices.trigno",
         "TwoActors": "kinegraph.devices.people.quadruped",
+        "Video": "kinegraph.devices.cameras.video",
         "Vmc": "kinegraph.devices.osc.vmc_inlet",
         "VmcOutlet": "kinegraph.devices.osc.vmc_outlet",
         "VrchatTrackers": "kinegraph.devices.osc.vrchat",

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from kinegraph.operators.bed.night_map import NightMap
     from kinegraph.operators.bed.presence import Presence
     from kinegraph.operators.body.background import Background
+    from kinegraph.operators.body.camera.image_pose import ImagePose
+    from kinegraph.operators.body.camera.one_camera import OneCamera
     from kinegraph.operators.body.extrema import Extrema
     from kinegraph.operators.body.marker_fusion import Surer
     from kinegraph.operators.body.markers import Markers
@@ -144,6 +146,7 @@ __all__ = [
     "GentleAlarm",
     "GrowingGraph",
     "Highpass",
+    "ImagePose",
     "InertialContacts",
     "LegContacts",
     "LimbContacts",
@@ -171,6 +174,7 @@ __all__ = [
     "NormalisedPose",
     "NormativeBands",
     "Notch",
+    "OneCamera",
     "OneEuro",
     "PatternWatch",
     "Pause",
@@ -255,6 +259,7 @@ __getattr__, __dir__ = offered(
         "GentleAlarm": "kinegraph.operators.sleep.gentle_alarm",
         "GrowingGraph": "kinegraph.operators.maps.motion_graph.growing",
         "Highpass": "kinegraph.operators.filters.iir",
+        "ImagePose": "kinegraph.operators.body.camera.image_pose",
         "InertialContacts": "kinegraph.operators.contacts.inertial",
         "LegContacts": "kinegraph.operators.contacts.leg_contacts",
         "LimbContacts": "kinegraph.operators.contacts.limb_contacts",
@@ -282,6 +287,7 @@ __getattr__, __dir__ = offered(
         "NormalisedPose": "kinegraph.operators.features.normalised_pose",
         "NormativeBands": "kinegraph.operators.cycles.statistics.norms",
         "Notch": "kinegraph.operators.filters.iir",
+        "OneCamera": "kinegraph.operators.body.camera.one_camera",
         "OneEuro": "kinegraph.operators.filters.one_euro",
         "PatternWatch": "kinegraph.operators.monitors.pattern_watch",
         "Pause": "kinegraph.operators.timing.pause",

@@ -1,4 +1,4 @@
-"""Orbbec and RealSense cameras, as their makers' libraries find them. Nothing is opened."""
+"""Orbbec and RealSense cameras, as their makers' libraries find them, and webcams, as the kernel lists them. Nothing is opened."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 
 from kinegraph.devices.cameras import orbbec, realsense
+from kinegraph.devices.cameras.video.container import webcams
 from kinegraph.devices.discovery.finders import FoundDevice
 
 
@@ -32,3 +33,9 @@ def find_realsense() -> Iterator[FoundDevice]:
         name, serial = (*rows, "")[:2]
         yaml = f'use: devices.cameras.realsense.RealSense\ndevice: "{serial}"'
         yield FoundDevice("realsense", serial, name, yaml)
+
+
+def find_webcams() -> Iterator[FoundDevice]:
+    """Every camera at this computer that gives ordinary images."""
+    for device, name in webcams():
+        yield FoundDevice("webcam", device, name, f"use: devices.cameras.video.Video\nurl: {device}")

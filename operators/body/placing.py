@@ -54,10 +54,25 @@ def placed(
     """
     points = _without_hidden(points, camera)
     trunk = _trunk(points)
+    placed_at(points, camera, trunk, lengths, counts, places, doubt)
+    return trunk
+
+
+@kernel
+def placed_at(
+    points: Samples,
+    camera: Samples,
+    trunk: float,
+    lengths: Samples,
+    counts: Samples,
+    places: Samples,
+    doubt: Samples,
+) -> None:
+    """`placed`, where the middle of the hips is known to be `trunk` m away (NaN: nothing is placed)."""
     places[:] = math.nan
     doubt[:] = 1.0
     if math.isnan(trunk):
-        return trunk
+        return
     depth = np.empty(34)
     for k in range(34):
         guess = trunk + points[k, 7]
@@ -77,7 +92,6 @@ def placed(
         places[k, 0] = (points[k, 0] - camera[2]) / camera[0] * depth[k]
         places[k, 1] = (points[k, 1] - camera[3]) / camera[1] * depth[k]
         places[k, 2] = depth[k]
-    return trunk
 
 
 @kernel

@@ -1,69 +1,126 @@
-"""`kinegraph files fetch pose-model`: the pose network, from the registry where its makers published it, checked before it is kept."""
+"""`kinegraph files fetch`: networks that see people, from the registry where their makers published them, checked before they are kept."""
 
 from __future__ import annotations
 
 import hashlib
 import io
+import re
 import tarfile
 import urllib.error
 import urllib.request
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from kinegraph.operators.body.network.blazepose import FILE, SHA256, default_model
+from kinegraph.operators.body.network.published import FACE, HAND, PERSON, POSE, Published
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
 from kinegraph.stream.text.safe_text import say
 
-PACKAGE = "https://registry.npmjs.org/@mediapipe/pose/-/pose-0.5.1675469404.tgz"
 PACKAGE_BYTES = 64 << 20
 """A longer answer is not the package."""
-NOTICE = """pose_landmark_full.tflite: BlazePose, of MediaPipe Pose 0.5.1675469404 (npm: @mediapipe/pose).
+NOTICE = """{file}: of MediaPipe {version} (npm: {name}).
 Copyright The MediaPipe Authors. Licensed under the Apache License, Version 2.0: http://www.apache.org/licenses/LICENSE-2.0
 It is unchanged, and it is no part of kinegraph. Source: https://github.com/google-ai-edge/mediapipe
 """
 
 
-def pose_model(
-    package: Annotated[
-        str, typer.Option("--package", metavar="FILE.tgz", help="the package, if it was downloaded otherwise")
-    ] = "",
-) -> None:
+@dataclass(frozen=True, slots=True)
+class Package:
+    """A package of npm's registry."""
+
+    name: str
+    version: str
+
+    @property
+    def url(self) -> str:
+        return f"https://registry.npmjs.org/{self.name}/-/{self.name.rpartition('/')[2]}-{self.version}.tgz"
+
+
+POSE_PACKAGE = Package("@mediapipe/pose", "0.5.1675469404")
+HOLISTIC_PACKAGE = Package("@mediapipe/holistic", "0.5.1675471629")
+PACKAGE_OPTION = typer.Option("--package", metavar="FILE.tgz", help="the package, if it was downloaded otherwise")
+
+
+def pose_model(package: Annotated[str, PACKAGE_OPTION] = "") -> None:
     """Download BlazePose (Apache-2.0; 41 MB, of which 6 are kept) for operators.body.network.PoseNetwork, and check it."""
-    path = default_model()
-    if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == SHA256:
-        say(f"{path} already exists")
+    _fetch([POSE], POSE_PACKAGE, package)
+
+
+def camera_models(package: Annotated[str, PACKAGE_OPTION] = "") -> None:
+    """Download what an ordinary camera needs (Apache-2.0; 53 MB, of which 16 are kept), and check it: body, person, hand and face."""
+    _fetch([POSE, PERSON, HAND, FACE], HOLISTIC_PACKAGE, package)
+
+
+def _fetch(networks: Sequence[Published], of: Package, package: str) -> None:
+    missing = []
+    for network in networks:
+        path = network.default()
+        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == network.sha256:
+            say(f"{path} already exists")
+        else:
+            missing.append(network)
+    if not missing:
         return
-    content = _network_in(Path(package).read_bytes() if package else _downloaded())
-    private_folder(path.parent)
-    write_complete(path.with_suffix(".NOTICE.txt"), NOTICE)
-    write_complete(path, content)
-    say(f"{path}: fetched and checked ({SHA256[:12]}...); its licence is in {path.with_suffix('.NOTICE.txt').name}")
+    content = Path(package).read_bytes() if package else _downloaded(of)
+    found = [_network_in(content, network) for network in missing]
+    for network, data in zip(missing, found, strict=True):
+        path = network.default()
+        private_folder(path.parent)
+        notice = NOTICE.format(file=network.file, version=of.version, name=of.name)
+        write_complete(path.with_suffix(".NOTICE.txt"), notice)
+        write_complete(path, data)
+        notice_name = path.with_suffix(".NOTICE.txt").name
+        say(f"{path}: fetched and checked ({network.sha256[:12]}...); its licence is in {notice_name}")
 
 
-def _downloaded() -> bytes:
+def _downloaded(package: Package) -> bytes:
     """The package. Raises KinegraphError."""
-    say(f"downloading {PACKAGE}")
+    say(f"downloading {package.url}")
     try:
-        with urllib.request.urlopen(PACKAGE, timeout=60) as answer:
+        with urllib.request.urlopen(package.url, timeout=60) as answer:
             return bytes(answer.read(PACKAGE_BYTES))
     except (urllib.error.URLError, TimeoutError, OSError) as error:
         raise KinegraphError(
-            f"{PACKAGE} cannot be downloaded ({error}); get it elsewhere (npm pack @mediapipe/pose@0.5.1675469404) "
+            f"{package.url} cannot be downloaded ({error}); get it elsewhere (npm pack {package.name}@{package.version}) "
             "and give it with --package FILE.tgz"
         ) from None
 
 
-def _network_in(package: bytes) -> bytes:
-    """The network in the package, checked. Raises KinegraphError."""
+def _network_in(package: bytes, network: Published) -> bytes:
+    """The network in the package, checked: a file of its own, or a part of the package's packed assets. Raises KinegraphError."""
     try:
         with tarfile.open(fileobj=io.BytesIO(package), mode="r:gz") as archive:
-            member = archive.extractfile(f"package/{FILE}")
-            content = member.read() if member else b""
+            names = archive.getnames()
+            if f"package/{network.file}" in names:
+                content = _member(archive, f"package/{network.file}")
+            else:
+                content = _packed(archive, names, network.file)
     except (tarfile.TarError, KeyError, OSError, EOFError) as error:
-        raise KinegraphError(f"the package holds no {FILE} that can be read ({error}); nothing was kept") from None
-    if hashlib.sha256(content).hexdigest() != SHA256:
-        raise KinegraphError(f"{FILE} in the package is not the one that was published; nothing was kept")
+        raise KinegraphError(
+            f"the package holds no {network.file} that can be read ({error}); nothing was kept"
+        ) from None
+    if hashlib.sha256(content).hexdigest() != network.sha256:
+        raise KinegraphError(f"{network.file} in the package is not the one that was published; nothing was kept")
     return content
+
+
+def _packed(archive: tarfile.TarFile, names: Sequence[str], file: str) -> bytes:
+    """A file among the assets that the package's own loader lists, with where each begins and ends. Raises KeyError."""
+    for name in names:
+        if not name.endswith("_packed_assets_loader.js"):
+            continue
+        listed = _member(archive, name).decode(errors="replace")
+        place = re.search(rf'/{re.escape(file)}", *"start": *(\d+), *"end": *(\d+)', listed)
+        if place:
+            assets = _member(archive, name.removesuffix("_loader.js") + ".data")
+            return assets[int(place[1]) : int(place[2])]
+    raise KeyError(file)
+
+
+def _member(archive: tarfile.TarFile, name: str) -> bytes:
+    member = archive.extractfile(name)
+    return member.read() if member else b""

@@ -267,7 +267,7 @@ def test_a_package_with_another_network_is_refused(tmp_path: Path, monkeypatch: 
         entry = tarfile.TarInfo(f"package/{default_model().name}")
         entry.size = 4
         archive.addfile(entry, io.BytesIO(b"none"))
-    monkeypatch.setattr(fetch, "default_model", lambda: tmp_path / "kept" / "pose.tflite")
+    monkeypatch.setattr(fetch.Published, "default", lambda self: tmp_path / "kept" / self.file)
     with pytest.raises(KinegraphError, match="nothing was kept"):
         fetch.pose_model(str(path))
     assert not (tmp_path / "kept").exists()

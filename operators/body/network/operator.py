@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,6 +14,7 @@ from kinegraph.operators.body.facing import CELLS, facing_of, shape_of, weights
 from kinegraph.operators.body.names import LANDMARKS, SEEN, camera_of
 from kinegraph.operators.body.network.blazepose import POINTS, SIZE, Raw, look, model_path
 from kinegraph.operators.body.network.crop import Image, crop, refine
+from kinegraph.operators.body.network.follow import AROUND, TRACKED, followed
 from kinegraph.operators.body.network.pairing import Pairing
 from kinegraph.operators.body.network.probe import box_of, probe
 from kinegraph.operators.body.network.sync_check import InStep
@@ -24,10 +24,6 @@ from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
-AROUND = 1.25
-"""How much larger than the person the square is that the network looks at."""
-TRACKED = 0.5
-"""From this presence on the next square is taken from the landmarks, not from the person's box: it is turned with the trunk."""
 LEAST_PIXELS = 150
 FIGURE = "figure"
 """The name of no network: a standing figure in the person's box."""
@@ -162,7 +158,7 @@ class PoseNetwork(Operator[PoseNetworkState]):
         x, y, side, turn = square.tolist()
         crop(np.atleast_3d(image), x, y, side, turn, part)
         if self.model == FIGURE:
-            return _figure(part)
+            return standing_figure(part)
         raw = look(self.state.model, part)
         refine(raw.heat, raw.points)
         return raw
@@ -173,17 +169,9 @@ class PoseNetwork(Operator[PoseNetworkState]):
         if not raw.presence > TRACKED:
             square[:] = np.nan
             return
-        scale, turn = square[2] / SIZE, square[3]
-        across, down = (raw.points[33:35, 0] - SIZE / 2) * scale, (raw.points[33:35, 1] - SIZE / 2) * scale
-        x = square[0] + across * math.cos(turn) - down * math.sin(turn)
-        y = square[1] + across * math.sin(turn) + down * math.cos(turn)
-        side, longest = 2 * AROUND * math.hypot(x[1] - x[0], y[1] - y[0]), AROUND * max(box[2], box[3])
-        square[:] = (
-            x[0],
-            y[0],
-            min(max(side, 0.8 * longest), 1.5 * longest),
-            math.pi / 2 - math.atan2(y[0] - y[1], x[1] - x[0]),
-        )
+        x, y, side, turn = followed(raw.points, square)
+        longest = AROUND * max(box[2], box[3])
+        square[:] = x, y, min(max(side, 0.8 * longest), 1.5 * longest), turn
 
     @classmethod
     def cases(cls) -> Sequence[Case]:
@@ -205,7 +193,7 @@ class PoseNetwork(Operator[PoseNetworkState]):
         return [Case(cls(model=FIGURE), {"image": image, "person": person}, least=55) for image in kinds.values()]
 
 
-def _figure(part: Array) -> Raw:
+def standing_figure(part: Array) -> Raw:
     """No network: a standing figure, as large as the square, that leans with the light in the image."""
     points, world = np.zeros((POINTS, 5)), np.zeros((POINTS, 3))
     k = np.arange(POINTS)

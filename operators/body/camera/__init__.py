@@ -1,0 +1,1 @@
+"""People in the image of an ordinary camera, which measures no depth: found, followed, and placed in metres."""

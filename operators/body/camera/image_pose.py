@@ -1,0 +1,171 @@
+"""What a pose network sees of a person in the image of an ordinary camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import structlog
+
+from kinegraph.operators.body.camera.detector import middle_one, people_in
+from kinegraph.operators.body.names import LANDMARKS, SEEN, camera_of
+from kinegraph.operators.body.network.blazepose import SIZE, Raw, look
+from kinegraph.operators.body.network.crop import Image, crop, refine
+from kinegraph.operators.body.network.follow import TRACKED, followed
+from kinegraph.operators.body.network.operator import FIGURE, standing_figure
+from kinegraph.operators.body.network.probe import probe
+from kinegraph.operators.body.network.published import PERSON, POSE, Published
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.errors import InputError, ParameterError
+from kinegraph.stream.filter import reset_gap
+from kinegraph.stream.operator import Case, Input, Operator, grid
+from kinegraph.stream.params import param
+
+LEAST_SIDE, MOST_SIDE = 0.06, 4.0
+"""A square that is smaller or larger than these shares of the picture's larger side holds nobody who can be followed."""
+_reported: set[str] = set()
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(slots=True)
+class ImagePoseState:
+    """
+    model, detector  the networks' files; "": no network
+    square           (4,)  where to look next: x, y, side, turn; NaN: look for people in the whole image
+    last             stamp of the newest frame
+    """
+
+    model: str
+    detector: str
+    square: Samples
+    last: int
+
+
+@dataclass(frozen=True, slots=True)
+class ImagePose(Operator[ImagePoseState]):
+    """The image of an ordinary camera in, what is seen of one person in it out: one sample a frame, NaN where there is nobody.
+
+    BlazePose (Apache-2.0; `kinegraph files fetch camera-models`) by LiteRT. A person is looked for in the whole image first (some 11 ms), and
+    then followed from frame to frame (some 12 ms): put it on a `worker`. Of several people it takes the one who stands out near the middle,
+    and stays with that person until that person is lost. No depth is measured: `points[..., 2]` is NaN, and
+    operators.body.camera.one_camera.OneCamera places the landmarks by the body's height. It can be recorded where images are not.
+
+    >>> given, made = tried(ImagePose)
+    >>> given["in"].shape, made["out"]["presence"][-1].round(2).item()
+    ((60, 48, 64, 3), 0.9)
+    """
+
+    inputs = {"in": Input()}
+    references: ClassVar[str] = "MediaPipe Pose (networks, refinement by heat maps, next square)"
+
+    model: str = param(
+        "", help="the landmark network's file; left out: the one that `kinegraph files fetch camera-models` brings"
+    )
+    detector: str = param(
+        "", help="the detector's file; left out: the one that `kinegraph files fetch camera-models` brings"
+    )
+    needed: bool = param(True, help="false: without the networks the graph runs and finds nobody")
+    reset_gap_s: float = reset_gap(
+        0.5, "after a longer gap the person is looked for in the whole image again", above=0.0
+    )
+
+    def open(self, specs: Specs) -> Specs:
+        spec = specs["in"]
+        if spec.dtype != np.uint8 or len(spec.shape) not in (2, 3) or spec.shape[2:] not in ((), (1,), (3,)):
+            raise InputError("in", spec.describe(), "images (height, width) or (height, width, 3) uint8")
+        if min(spec.shape[:2]) < 32:
+            raise InputError("in", spec.describe(), "images of at least 32 x 32 pixels")
+        if camera_of(spec) is None:
+            raise InputError("in", "a stream of unknown geometry", "one with `camera` in its spec: fx, fy, cx, cy")
+        if self.model == FIGURE:
+            model = detector = FIGURE
+        else:
+            model, detector = self._found(POSE, "model"), self._found(PERSON, "detector")
+        self.set_state(ImagePoseState(model if detector else "", detector, np.full(4, np.nan), 0))
+        meta = {**spec.meta, "landmarks": list(LANDMARKS)}
+        units = ("px, m", "", "")
+        return {"out": StreamSpec((), SEEN, rate_hz=spec.rate_hz, units=units, settling_s=spec.settling_s, meta=meta)}
+
+    def _found(self, network: Published, parameter: str) -> str:
+        """The network's file; "" where it is missing and not needed. Raises ParameterError."""
+        try:
+            return str(network.path(parameter, getattr(self, parameter)))
+        except ParameterError as error:
+            if self.needed:
+                raise
+            if str(error) not in _reported:
+                _reported.add(str(error))
+                log.warning("no networks for an ordinary camera: it finds nobody", reason=str(error))
+            return ""
+
+    def process(self, port: str, chunk: Chunk) -> Chunk:
+        state, out = self.state, np.zeros(len(chunk), SEEN)
+        for i, time in enumerate(chunk.time.tolist()):
+            if time - state.last > self.reset_gap_s * NS:
+                state.square[:] = np.nan
+            state.last = time
+            self._look(np.atleast_3d(chunk.data[i]), out[i : i + 1])
+        return Chunk(chunk.time, out, chunk.until, chunk.lost)
+
+    def _look(self, image: Image, out: Array) -> None:
+        """One frame; a person who was lost is looked for in it at once."""
+        points, square = out["points"][0], self.state.square
+        points[:], out["presence"], out["facing"] = np.nan, np.nan, 0.0
+        if not self.state.model:
+            return
+        followed_before = not np.isnan(square[0])
+        for again in (False, True):
+            if np.isnan(square[0]) and not self._find(image):
+                return
+            raw = self._raw(image)
+            if raw.presence > TRACKED or again or not followed_before:
+                break
+            square[:] = np.nan
+        out["presence"] = raw.presence
+        if not raw.presence > TRACKED:
+            square[:] = np.nan
+            return
+        probe(raw.points, raw.world, square, np.zeros(image.shape[:2], np.uint16), points)
+        square[:] = followed(raw.points, square)
+        longest, (height, width) = max(image.shape[:2]), image.shape[:2]
+        inside = (
+            -square[2] / 2 < square[0] < width + square[2] / 2 and -square[2] / 2 < square[1] < height + square[2] / 2
+        )
+        if not (inside and LEAST_SIDE * longest < square[2] < MOST_SIDE * longest):
+            square[:] = np.nan
+
+    def _find(self, image: Image) -> bool:
+        """Look for people in the whole image, and choose one."""
+        height, width = image.shape[:2]
+        if self.state.model == FIGURE:
+            self.state.square[:] = width / 2, height / 2, height, 0.0
+            return True
+        found = middle_one(people_in(image, self.state.detector), width, height)
+        if found:
+            self.state.square[:] = found.square
+        return found is not None
+
+    def _raw(self, image: Image) -> Raw:
+        part = np.empty((SIZE, SIZE, 3), np.float32)
+        x, y, side, turn = self.state.square.tolist()
+        crop(image, x, y, side, turn, part)
+        if self.state.model == FIGURE:
+            return standing_figure(part)
+        raw = look(self.state.model, part)
+        refine(raw.heat, raw.points)
+        return raw
+
+    @classmethod
+    def cases(cls) -> Sequence[Case]:
+        random = np.random.default_rng(4)
+        meta = {"camera": {"fx": 56.0, "fy": 56.0, "cx": 31.5, "cy": 23.5}}
+        colour = StreamSpec((48, 64, 3), np.dtype(np.uint8), rate_hz=30.0, meta=meta)
+        grey = StreamSpec((48, 64), np.dtype(np.uint8), rate_hz=None, meta=meta)
+        images = random.integers(0, 255, (60, 48, 64, 3), np.uint8)
+        return [
+            Case(cls(model=FIGURE), {"in": (colour, grid(30.0, 60), images)}, least=60),
+            Case(cls(model=FIGURE), {"in": (grey, grid(25.0, 60), images[..., 0].copy())}, least=60),
+        ]

@@ -1,0 +1,180 @@
+"""Ordinary cameras through PyAV: files that PyAV wrote, and a camera that serves JPEG pictures over HTTP."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kinegraph.devices.cameras.video import Video, container
+from kinegraph.devices.cameras.video.importer import VIDEO
+from kinegraph.devices.cameras.video.simulator import network_camera, simulated
+from kinegraph.devices.formats.column_table import ImportOptions
+from kinegraph.stream.chunk import NS
+from kinegraph.stream.errors import DeviceError, ParameterError, RecordingError
+from tests.support.device_feed import check, reading, wait_for
+
+av = pytest.importorskip("av")
+WIDTH, HEIGHT = 64, 48
+RATE = 25
+
+
+def picture(k: int) -> np.ndarray:
+    """A grey ramp with a bright left half whose level tells the frame."""
+    made = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    made[:, : WIDTH // 2] = 10 * k % 200 + 20
+    return made
+
+
+def film(path: Path, ticks: list[int]) -> Path:
+    """A video whose frame i is shown at ticks[i] / RATE."""
+    with av.open(str(path), "w") as made:
+        stream = made.add_stream("mpeg4", rate=RATE)
+        stream.width, stream.height, stream.bit_rate = WIDTH, HEIGHT, 4_000_000
+        stream.codec_context.time_base = Fraction(1, RATE)
+        for k, tick in enumerate(ticks):
+            frame = av.VideoFrame.from_ndarray(picture(k), format="rgb24")
+            frame.pts, frame.time_base = tick, Fraction(1, RATE)
+            made.mux(stream.encode(frame))
+        made.mux(stream.encode())
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return film(tmp_path_factory.mktemp("video") / "whole.mp4", list(range(20)))
+
+
+def played(source: Video) -> object:
+    with reading(source) as feed:
+        wait_for(lambda: feed.error is not None or feed.count("image") >= source._file().frames)
+    assert feed.error is None, feed.error
+    check(source, feed)
+    return feed
+
+
+@pytest.mark.quick
+def test_a_file_has_its_own_size_rate_and_times(whole: Path) -> None:
+    source = Video(str(whole), realtime=False)
+    spec = source.specs()["image"]
+    assert (spec.shape, spec.rate_hz) == ((HEIGHT, WIDTH, 3), RATE)
+    feed = played(source)
+    assert np.diff(feed.time("image")).tolist() == [NS // RATE] * 19
+    levels = [frame[10:-10, 8:24].mean() for frame in feed.data("image")]
+    np.testing.assert_allclose(levels, [10 * k + 20 for k in range(20)], atol=4)
+
+
+def test_frames_that_a_file_lacks_are_counted(tmp_path: Path) -> None:
+    kept = [k for k in range(40) if k not in (7, 8, 20)]
+    feed = played(Video(str(film(tmp_path / "gaps.mp4", kept)), realtime=False))
+    assert sorted(feed.lost("image").values()) == [1, 2]
+    assert feed.problems["lost frame"] == 3
+
+
+def test_a_file_without_an_even_rate_is_irregular(tmp_path: Path) -> None:
+    ticks = np.cumsum(np.random.default_rng(1).integers(2, 9, 40)).tolist()
+    path = tmp_path / "uneven.mkv"
+    assert Video(str(film(path, ticks))).specs()["image"].rate_hz is None
+    times = played(Video(str(path), realtime=False)).time("image")
+    np.testing.assert_allclose(np.diff(times) / NS, np.diff(ticks) / RATE, atol=2e-3)
+
+
+def test_pictures_are_made_as_large_as_the_graph_says_and_are_not_squeezed(whole: Path) -> None:
+    assert Video(str(whole), width=32).specs()["image"].shape == (24, 32, 3)
+    assert played(Video(str(whole), width=32, realtime=False)).data("image").shape[1:] == (24, 32, 3)
+    with reading(Video(str(whole), width=32, height=32, realtime=False)) as feed:
+        wait_for(lambda: feed.error is not None)
+    assert "would be squeezed into 32 x 32; write width: 32 and height: 24" in str(feed.error)
+
+
+def test_a_mirror_exchanges_left_and_right(whole: Path) -> None:
+    plain, mirrored = (played(Video(str(whole), mirror=m, realtime=False)).data("image")[9] for m in (False, True))
+    assert np.array_equal(plain[:, ::-1], mirrored) and plain[:, 8].mean() > plain[:, -8].mean()
+
+
+def test_a_file_that_is_no_video_is_refused_before_the_session(tmp_path: Path) -> None:
+    path = tmp_path / "notes.mp4"
+    path.write_bytes(b"not a video at all" * 100)
+    with pytest.raises(ParameterError, match="a video file"):
+        Video(str(path)).specs()
+    with pytest.raises(ParameterError, match="a video file that is there"):
+        Video(str(tmp_path / "gone.mp4")).specs()
+    assert "there is no video" in Video(str(tmp_path / "gone.mp4")).missing()
+
+
+def test_a_film_that_is_cut_off_ends_with_what_it_holds(whole: Path, tmp_path: Path) -> None:
+    path = film(tmp_path / "whole.mkv", list(range(20)))
+    cut = tmp_path / "cut.mkv"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 6 // 10])
+    with reading(Video(str(cut), realtime=False)) as feed:
+        wait_for(lambda: feed.error is not None or feed.count("image") >= 8)
+    assert 5 <= feed.count("image") < 20
+
+
+def test_a_camera_on_the_network_is_read_and_opened_again_when_it_is_gone() -> None:
+    with network_camera(WIDTH, HEIGHT, 30.0) as camera:
+        source = Video(camera.url, width=WIDTH, height=HEIGHT)
+        assert not source.missing()
+        with reading(source) as feed:
+            wait_for(lambda: feed.error is not None or feed.count("image") > 5)
+            assert feed.error is None, feed.error
+            camera.unplug()
+            wait_for(lambda: feed.error is not None)
+        assert isinstance(feed.error, DeviceError)
+        check(source, feed)
+        with reading(source) as feed:
+            wait_for(lambda: feed.error is not None)
+        assert "cannot be opened as a video" in str(feed.error)
+        camera.plug()
+        with reading(source) as feed:
+            wait_for(lambda: feed.error is not None or feed.count("image") > 5)
+        assert feed.error is None, feed.error
+
+
+def test_the_simulated_camera_shows_what_its_number_says() -> None:
+    with simulated(Video(width=160, height=120)) as source, reading(source) as feed:
+        wait_for(lambda: feed.error is not None or feed.count("image") > 3)
+    assert feed.error is None, feed.error
+    assert source.specs()["image"].meta["camera"]["fx"] == pytest.approx(0.70 * 160)
+    assert feed.data("image")[0].mean() > 20
+
+
+def test_what_is_missing_is_named() -> None:
+    assert "nothing answers at 127.0.0.1:9" in Video("http://127.0.0.1:9/video").missing()
+    assert "there is no webcam /dev/video77" in Video("/dev/video77").missing()
+
+
+def test_webcams_are_listed_by_the_kernels_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for node, index, name in (
+        ("video0", "0", "Laptop Camera"),
+        ("video1", "1", "Laptop Camera"),
+        ("video10", "0", "C920"),
+    ):
+        (tmp_path / node).mkdir()
+        (tmp_path / node / "index").write_text(index + "\n")
+        (tmp_path / node / "name").write_text(name + "\n")
+    monkeypatch.setattr(container, "WEBCAMS", tmp_path)
+    assert container.webcams() == [("/dev/video0", "Laptop Camera"), ("/dev/video10", "C920")]
+    assert Video().address() == "/dev/video0"
+
+
+def test_a_password_stays_out_of_the_recording() -> None:
+    from kinegraph.devices.cameras.video.source import without_password
+
+    assert without_password("rtsp://anna:secret@10.0.0.7:554/live") == "rtsp://10.0.0.7:554/live"
+    assert without_password("/home/a@b/film.mp4") == "/home/a@b/film.mp4"
+
+
+def test_a_video_is_imported_with_its_times(whole: Path) -> None:
+    (series,), _ = VIDEO.read([whole], ImportOptions(), True)
+    assert series.name == "whole" and series.data.shape == (20, HEIGHT, WIDTH, 3)
+    assert np.diff(series.time).tolist() == [NS // RATE] * 19
+    assert VIDEO.claims is not None and VIDEO.claims(whole, whole.read_bytes()[:64])
+
+
+def test_a_video_that_would_fill_the_disk_is_not_imported(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kinegraph.devices.cameras.video.importer.MOST_BYTES", 10_000)
+    with pytest.raises(RecordingError, match="play it in a graph instead"):
+        VIDEO.read([whole], ImportOptions(), True)
