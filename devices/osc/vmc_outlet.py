@@ -15,6 +15,7 @@ from kinegraph.devices.formats.gltf.vrm_reader import read_vrm
 from kinegraph.devices.osc.sender import BACK_AFTER
 from kinegraph.devices.osc.vmc_protocol import SAFE_BYTES, VmcFrame
 from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec
+from kinegraph.stream.domain.fingers import BENDS, FINGER_BONES, RELAXED, finger_offsets, finger_rotations
 from kinegraph.stream.domain.humanoid import BONES, humanoid_of, to_humanoid, usual_body
 from kinegraph.stream.domain.skeleton import JointTree
 from kinegraph.stream.errors import DeviceError, InputError
@@ -27,9 +28,10 @@ log = structlog.get_logger(__name__)
 
 @dataclass(slots=True)
 class VmcState:
-    """weights: of the blend shapes, the newest. begun: stamp of the first pose (ns)."""
+    """weights: of the blend shapes, and turns (30, 4) of the fingers' bones, the newest. begun: stamp of the first pose (ns)."""
 
     weights: Samples = field(default_factory=lambda: np.zeros(0))
+    turns: Samples = field(default_factory=lambda: np.zeros((0, 4)))
     begun: int = 0
 
 
@@ -48,12 +50,13 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
 
     pose    a stream of poses. One of another skeleton than VRM's is turned into it by the names of its joints, or by `bones`
     blends  weights (0 to 1) of blend shapes, a signal with channels named as the avatar's: Joy, A, Blink_L
+    fingers how the fingers bend (of operators.body.camera.hands.Hands): their 30 bones are sent, too
 
     `avatar` names the VRM file that the receiver shows: bones go out with its lengths, and the hips are moved as far as its legs are
-    long. A pose that is not finite is not sent. Bones that a pose does not have (fingers, eyes) are not sent: the receiver keeps them.
+    long. A pose that is not finite is not sent. Bones that are not given (fingers, eyes) are not sent: the receiver keeps them.
     """
 
-    inputs = {"pose": Input(), "blends": Input(optional=True)}
+    inputs = {"pose": Input(), "blends": Input(optional=True), "fingers": Input(optional=True)}
     in_order: ClassVar[bool] = False
 
     host: str = param("127.0.0.1", help="who receives")
@@ -67,8 +70,16 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
         names = _blend_names(specs["blends"]) if "blends" in specs else ()
         avatar = read_vrm(self.avatar) if self.avatar else usual_body()
         body = tree if tree.joints == BONES else to_humanoid(tree, np.zeros((0, tree.width)), self.bones)[0]
-        frame = VmcFrame(BONES, avatar.offsets, names, self.max_bytes)
-        self.set_state(VmcState(np.zeros(len(names))), VmcRuntime(tree, frame, _leg(avatar) / max(_leg(body), 1e-3)))
+        bones, offsets, turns = BONES, avatar.offsets, np.zeros((0, 4))
+        if "fingers" in specs:
+            if specs["fingers"].channels != BENDS:
+                raise InputError("fingers", specs["fingers"].describe(), f"{len(BENDS)} bends of fingers, of Hands")
+            bones, offsets = (*BONES, *FINGER_BONES), np.concatenate([offsets, finger_offsets()])
+            turns = finger_rotations(RELAXED)
+        frame = VmcFrame(bones, offsets, names, self.max_bytes)
+        self.set_state(
+            VmcState(np.zeros(len(names)), turns), VmcRuntime(tree, frame, _leg(avatar) / max(_leg(body), 1e-3))
+        )
         return {}
 
     def begin(self) -> None:
@@ -86,10 +97,15 @@ class VmcOutlet(Outlet[VmcState, VmcRuntime]):
             for weights in chunk.data:
                 self.state.weights[:] = np.where(np.isfinite(weights), np.clip(weights, 0.0, 1.0), self.state.weights)
             return
+        if port == "fingers":
+            for bends in chunk.data[-1:]:
+                if np.isfinite(bends).all():
+                    self.state.turns[:] = finger_rotations(np.asarray(bends, np.float64))
+            return
         for stamp, row in zip(chunk.time.tolist(), self._humanoid(chunk.data), strict=True):
             self.state.begun = self.state.begun or stamp
             if np.isfinite(row).all():
-                hips, rotations = self.runtime.scale * row[:3], row[3:].reshape(-1, 4)
+                hips, rotations = self.runtime.scale * row[:3], np.vstack([row[3:].reshape(-1, 4), self.state.turns])
                 seconds = (stamp - self.state.begun) / NS
                 self._send(self.runtime.frame.write(seconds, hips, rotations, self.state.weights.tolist()))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinegraph.devices.people.rendered_performer import POINTS, RenderedPerformer, camera_of
-from kinegraph.operators.body.camera.detector import Found, middle_one
+from kinegraph.operators.body.camera.detector import SeenPerson, middle_one
 from kinegraph.operators.body.camera.distance import BODY, bones_of, distance, scale_of
 from kinegraph.operators.body.camera.image_pose import ImagePose
 from kinegraph.operators.body.camera.one_camera import OneCamera
@@ -80,8 +80,8 @@ def test_joints_are_where_they_are_and_as_far_as_the_person_is_tall() -> None:
 
 
 def test_of_several_people_the_large_one_near_the_middle_is_taken() -> None:
-    def at(x: float, side: float) -> Found:
-        return Found(0.9, np.array([x, 240.0, side, 0.0]))
+    def at(x: float, side: float) -> SeenPerson:
+        return SeenPerson(0.9, np.array([x, 240.0, side, 0.0]))
 
     assert middle_one([at(100, 300), at(330, 280)], 640, 480).square[0] == 330
     assert middle_one([at(320, 60), at(420, 400)], 640, 480).square[0] == 420

@@ -24,7 +24,7 @@ AROUND = 1.25
 """How much larger than twice the way from the hips to the end of the body the square is."""
 
 
-class Found(NamedTuple):
+class SeenPerson(NamedTuple):
     """A person: how sure; and the square in the image around hips that is upright for the person: x, y, side (pixels), turn (rad)."""
 
     sure: float
@@ -42,7 +42,7 @@ def _anchors() -> Samples:
     return np.concatenate(rows)
 
 
-def people_in(image: Image, path: str) -> list[Found]:
+def people_in(image: Image, path: str) -> list[SeenPerson]:
     """The people in `image` (h, w, 3) uint8, the surest first."""
     height, width = image.shape[:2]
     side = float(max(height, width))
@@ -50,7 +50,7 @@ def people_in(image: Image, path: str) -> list[Found]:
     crop(image, width / 2, height / 2, side, 0.0, part)
     boxes, scores = _outputs(part, path)
     sure = np.flatnonzero(scores > SURE)
-    found: list[Found] = []
+    found: list[SeenPerson] = []
     for k in sure[np.argsort(-scores[sure], kind="stable")].tolist():
         points = boxes[k, 4:8].reshape(2, 2).astype(float) / SIZE + _anchors()[k]
         hips, end = (points - 0.5) * side + (width / 2, height / 2)
@@ -58,7 +58,7 @@ def people_in(image: Image, path: str) -> list[Found]:
         turn = math.pi / 2 - math.atan2(hips[1] - end[1], end[0] - hips[0])
         square = np.array([hips[0], hips[1], 2 * AROUND * reach, turn])
         if all(math.hypot(*(square[:2] - other.square[:2])) > SAME * reach for other in found):
-            found.append(Found(float(scores[k]), square))
+            found.append(SeenPerson(float(scores[k]), square))
     return found
 
 
@@ -70,13 +70,13 @@ def _outputs(part: Single, path: str) -> tuple[Samples, Samples]:
     return boxes, 1.0 / (1.0 + np.exp(-np.clip(logits[:, 0].astype(float), -50.0, 50.0)))
 
 
-def middle_one(found: list[Found], width: int, height: int) -> Found | None:
+def middle_one(found: list[SeenPerson], width: int, height: int) -> SeenPerson | None:
     """Of several people the one who stands out: large, and near the middle from side to side."""
     if not found:
         return None
 
-    def out(one: Found) -> float:
-        x, _, side, _ = one.square.tolist()
+    def out(one: SeenPerson) -> float:
+        x, side = float(one.square[0]), float(one.square[2])
         return side / height * (1.0 - 0.8 * min(abs(x - width / 2) / (width / 2), 1.0))
 
     return max(found, key=out)

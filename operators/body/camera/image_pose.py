@@ -48,9 +48,9 @@ class ImagePoseState:
 class ImagePose(Operator[ImagePoseState]):
     """The image of an ordinary camera in, what is seen of one person in it out: one sample a frame, NaN where there is nobody.
 
-    BlazePose (Apache-2.0; `kinegraph files fetch camera-models`) by LiteRT. A person is looked for in the whole image first (some 11 ms), and
-    then followed from frame to frame (some 12 ms): put it on a `worker`. Of several people it takes the one who stands out near the middle,
-    and stays with that person until that person is lost. No depth is measured: `points[..., 2]` is NaN, and
+    BlazePose (Apache-2.0; `kinegraph files fetch camera-models`) by LiteRT. A person is looked for in the whole image first (some 11 ms),
+    and then followed from frame to frame (some 12 ms): put it on a `worker`. Of several people it takes the one who stands out near the
+    middle, and stays with that person until that person is lost. No depth is measured: `points[..., 2]` is NaN, and
     operators.body.camera.one_camera.OneCamera places the landmarks by the body's height. It can be recorded where images are not.
 
     >>> given, made = tried(ImagePose)
