@@ -9,8 +9,8 @@ import secrets
 import shutil
 import socket
 import time
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import aclosing, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
@@ -148,13 +148,10 @@ class Lab:
     async def post_check(self, request: Request) -> Response:
         """Begin a check: of the electrodes, or of the camera over the bed."""
         asked = await as_request(request)
-        graph, kind = graph_file(self.home, str(asked["graph"])), str(asked["kind"])
+        kind = str(asked["kind"])
         if kind not in ("electrodes", "bed"):
             raise KinegraphError(f"there is no check {kind!r}")
-        text = await asyncio.to_thread(rewritten, graph, dict(asked["values"]))
-        private_folder(self.home / CHECKED)
-        path = self.home / CHECKED / f"{graph.stem}.yaml"
-        write_complete(path, text)
+        path = await self._checked_graph(asked)
         command = ("emg", "check-electrodes") if kind == "electrodes" else ("sleep", "check")
         check, name = jobs.Check(), secrets.token_hex(8)
         simulate = ["--simulate"] if asked.get("simulate") else []
@@ -165,6 +162,33 @@ class Lab:
             self._checks.pop(next(iter(self._checks)))[1].cancel()
         self._checks[name] = check, task
         return JSONResponse({"id": name})
+
+    async def post_look(self, request: Request) -> Response:
+        """What the camera sees now, for drawing the bed's region; never kept, and never shown on another machine."""
+        if request.client is None or not is_loopback(request.client.host):
+            raise KinegraphError("the camera's picture is shown on the lab's own machine alone")
+        asked = await as_request(request)
+        path = await self._checked_graph(asked)
+        simulate = ["--simulate"] if asked.get("simulate") else []
+        frames = jobs.printed(self.home, "sleep", "check", str(path.relative_to(self.home)), "--look", *simulate)
+        first = await anext(frames)
+
+        async def all_of() -> AsyncIterator[bytes]:
+            async with aclosing(frames):
+                yield first
+                async for piece in frames:
+                    yield piece
+
+        return StreamingResponse(all_of(), media_type="application/octet-stream")
+
+    async def _checked_graph(self, asked: dict[str, Any]) -> Path:
+        """The graph with the values of its form, as a file."""
+        graph = graph_file(self.home, str(asked["graph"]))
+        text = await asyncio.to_thread(rewritten, graph, dict(asked["values"]))
+        private_folder(self.home / CHECKED)
+        path = self.home / CHECKED / f"{graph.stem}.yaml"
+        write_complete(path, text)
+        return path
 
     async def get_check(self, request: Request) -> Response:
         check, _ = self._checks.get(request.path_params["id"], (None, None))
@@ -415,6 +439,7 @@ def app_of(home: Path, access: Access) -> ASGIApp:
         post("/api/presets", lab.post_preset),
         post("/api/import", lab.post_import),
         post("/api/checks", lab.post_check),
+        post("/api/look", lab.post_look),
         Route("/api/checks/{id}", lab.get_check),
         post("/api/sessions", lab.post_session),
         Route(one, lab.get_session),

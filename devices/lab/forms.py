@@ -19,6 +19,7 @@ from kinegraph.stream.graph.reading.settings_section import read_settings
 from kinegraph.stream.graph.reading.yaml_lines import Located
 from kinegraph.stream.graph.settings import GraphSetting
 from kinegraph.stream.graph.shipped import summary
+from kinegraph.stream.params import build
 from kinegraph.stream.source import Source
 
 SUBJECT = "session.subject"
@@ -152,7 +153,18 @@ def _devices(top: Mapping[str, Located]) -> Iterator[dict[str, Any]]:
             continue
         if issubclass(part, Source):
             given = {key: one.plain() for key, one in at.items().items() if key not in ("use", "from")}
-            yield {"node": name, "use": use.value, "can_simulate": use.value in simulated, "given": given}
+            tried: dict[str, dict[str, Any]] = {}
+            with suppress(KinegraphError):
+                tried = getattr(build(part, given), "rehearsals", dict)()  # most sources have nothing to try
+            yield {
+                "node": name,
+                "use": use.value,
+                "can_simulate": use.value in simulated,
+                "given": given,
+                "rehearsals": {
+                    text: {f"{name}.{key}": value for key, value in made.items()} for text, made in tried.items()
+                },
+            }
 
 
 def reports_of(path: Path) -> list[str]:

@@ -5,7 +5,12 @@ from __future__ import annotations
 import asyncio
 import shutil
 import sys
+import tempfile
+from collections.abc import AsyncGenerator
+from contextlib import suppress
 from pathlib import Path
+
+from kinegraph.stream.errors import KinegraphError
 
 COMMAND = (sys.executable, "-P", "-c", "from kinegraph.stream.cli.main import main; main()")
 MAX_PRINTED = 20_000
@@ -15,6 +20,28 @@ CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 async def kinegraph(home: Path, *arguments: str) -> tuple[int, str]:
     """Call a command in the lab's folder: its exit code, and what it printed."""
     return await _called(home, *COMMAND, *arguments)
+
+
+async def printed(home: Path, *arguments: str) -> AsyncGenerator[bytes, None]:
+    """What a command writes, as it comes. It ends with whoever reads this. Raises KinegraphError where it writes nothing."""
+    count = 0
+    with tempfile.TemporaryFile() as complaints:
+        process = await asyncio.create_subprocess_exec(
+            *COMMAND, *arguments, cwd=home, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=complaints
+        )  # fmt: skip
+        assert process.stdout
+        try:
+            while piece := await process.stdout.read(1 << 16):
+                count += len(piece)
+                yield piece
+        finally:
+            if process.returncode is None:
+                with suppress(ProcessLookupError):
+                    process.terminate()
+        if not count:
+            complaints.seek(0)
+            text = complaints.read().decode(errors="replace").strip()
+            raise KinegraphError(text.rpartition("kinegraph: ")[2][-600:] or "nothing came")
 
 
 class Check:

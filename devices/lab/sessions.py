@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from kinegraph.devices.lab.jobs import COMMAND
+from kinegraph.devices.lab.uses import titled
 from kinegraph.stream.data.json_file import read_json, write_json
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder
@@ -139,6 +140,7 @@ class LabSession:
         size = sum(p.stat().st_size for p in self.folder.rglob("*") if p.is_file())
         return {
             "id": self.id, **{k: facts.get(k, "") for k in ("graph", "name", "subject", "kind", "remarks", "result", "devices")},
+            "title": titled(str(facts.get("name", ""))),
             "began_s": facts["began_s"], "lasted_s": float(ended[1]) if ended else None, "runs": runs, "error": error, "bytes": size,
         }  # fmt: skip
 

@@ -21,14 +21,24 @@ USES = {
     "bedside_sleep": ("Night", "Asleep or awake, breathing and movement, from a depth camera over the bed"),
     "bedside_simulated": ("Night, simulated", "A whole night in half a minute"),
     "count_repetitions": ("Repetitions", "Exercises found, named and counted, from one sensor"),
+    "segment_mocap": (
+        "Repetitions, whole body",
+        "Squats, arm raises, knee lifts, waves, found and counted, from the skeleton of a simulated person",
+    ),
     "step_biometrics": ("Steps", "Every step from one sensor, and the manner of walking"),
     "avatar": ("Avatar, with a camera", "An avatar that follows a person before a depth camera"),
     "avatar_markers": ("Avatar, with markers", "An avatar that follows motion capture"),
     "steer_mesh": ("Mesh", "A mesh that follows a few markers"),
 }
 """Shipped graphs with what people call them, in the order in which they are offered."""
+
 OWN, PRESETS = "graphs", "presets"
 ENDINGS = (".yaml", ".yml")
+
+
+def titled(name: str) -> str:
+    """What people call a graph."""
+    return USES[name][0] if name in USES else name.replace("_", " ")
 
 
 def offered(home: Path) -> dict[str, list[dict[str, Any]]]:

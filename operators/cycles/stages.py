@@ -45,6 +45,8 @@ class StagesState:
     good, numbers (128,)          accepted cycles of the stage under way; the latest cycles' numbers, a ring;  cycles: of all
     began, newest                 1: the signal has begun; its newest stamp
     since, led                    when the stage under way began; 1: it is the protocol's, which is not over
+    paused, waits, spent          the number of the stage that is paused, 0: no stage is; whether it is the protocol's; how long the
+                                  stage under way lasted before its pauses (ns)
     stamps, measured (64,)        the latest belt speeds, rings, m/s; heard in all;  unit: m/s in one of the input's
     blank                         no cycle
     """
@@ -66,6 +68,9 @@ class StagesState:
     heard: int
     unit: float
     blank: Array
+    paused: int = 0
+    waits: int = 0
+    spent: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +85,7 @@ class Stages(Operator[StagesState]):
     A stage begins by an annotation, "stage warm-up" or "stage 1.2 m/s" (a name that is a speed sets it, as "speed 1.2" does for the stage
     under way), or by `protocol`: the first with the session's first sample, the next when the one before it has lasted `for_s`, has its
     number of good `cycles`, or at "next". "end stage" ends the stage under way, and begins no other; at "next" a protocol then goes on.
+    "pause stage" leaves it until "resume stage": what lies between counts neither as its time nor as its cycles.
     Annotations are recorded, so a replay has the same stages. A cycle that is reported again keeps its stage, and is not counted twice.
 
     >>> notes = events([2.5], [("onset", "<i8"), ("text", "<U64")], text=["stage slow"])
@@ -132,7 +138,7 @@ class Stages(Operator[StagesState]):
 
     def annotations_understood(self) -> list[str]:
         led = [*(f"stage {stage.stage}" for stage in self.protocol), "next"] if self.protocol else []
-        return [*led, "stage ", "end stage"]
+        return [*led, "stage ", "end stage", "pause stage", "resume stage"]
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         s = self.state
@@ -194,7 +200,7 @@ class Stages(Operator[StagesState]):
         """Time has come to `until`: begin what follows stages that are over by then."""
         s = self.state
         while s.led and (for_s := self.protocol[s.at - 1].for_s):
-            over = s.since + round(for_s * NS)
+            over = s.since + round(for_s * NS) - s.spent
             if over > until:
                 return
             self._next(began, over)
@@ -217,9 +223,10 @@ class Stages(Operator[StagesState]):
         s.count += 1
         began.append((stamp, (stamp, name, s.count, speed, s.good, say)))
         s.since, s.led, s.good = stamp, 0, 0
+        s.paused, s.waits, s.spent = 0, 0, 0
 
     def _said(self, began: Began, stamp: int, text: str) -> None:
-        """A person's word; all but "stage NAME", "end stage", "speed NUMBER" and "next" is for others."""
+        """A person's word; all but those of `annotations_understood` and "speed NUMBER" is for others."""
         s = self.state
         word, _, rest = text.partition(" ")
         if text == "next":
@@ -227,13 +234,29 @@ class Stages(Operator[StagesState]):
         elif text == "end stage":
             if s.count and s.names[(s.count - 1) % MOST]:
                 self._begin(began, stamp, ("", np.nan, ""))
+        elif text in ("pause stage", "resume stage"):
+            self._hold(began, stamp, text == "pause stage")
         elif word == "stage" and rest.strip():
             self._begin(began, stamp, (rest.strip()[:32], _speed(rest), ""))
         elif word == "speed" and np.isfinite(_speed(rest)):
             name = str(s.names[(s.count - 1) % MOST]) if s.count else ""
-            good = s.good
+            kept = s.good, s.paused, s.waits, s.spent
             self._begin(began, stamp, (name, _speed(rest), ""))
-            s.good = good
+            s.good, s.paused, s.waits, s.spent = kept
+
+    def _hold(self, began: Began, stamp: int, pause: bool) -> None:
+        """Pause the stage under way, or go on with the one that is paused: its time and its good cycles are kept."""
+        s = self.state
+        number = s.count if pause else s.paused
+        k, good, led, spent = (number - 1) % MOST, s.good, s.led, s.spent
+        if pause and number and s.names[k]:
+            spent += stamp - s.since
+            self._begin(began, stamp, ("", np.nan, f"{s.names[k]} is paused"))
+            s.paused, s.waits, s.good, s.spent = number, led, good, spent
+        elif not pause and number:
+            led = s.waits
+            self._begin(began, stamp, (str(s.names[k]), float(s.speeds[k]), ""))
+            s.led, s.good, s.spent = led, good, spent
 
     def _place(self, row: np.void) -> tuple[str, float]:
         """The stage that a cycle lies in, and the belt's speed in it."""
@@ -249,7 +272,7 @@ class Stages(Operator[StagesState]):
     def _count(self, began: Began, stamp: int, row: np.void) -> None:
         """Count a good cycle of the stage under way, once."""
         s, number = self.state, int(row["number"])
-        if row["rejected"] or int(row["onset"]) < s.since or (s.numbers == number).any():
+        if s.paused or row["rejected"] or int(row["onset"]) < s.since or (s.numbers == number).any():
             return
         s.numbers[s.cycles % len(s.numbers)] = number
         s.cycles += 1

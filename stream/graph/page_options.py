@@ -17,18 +17,21 @@ PANEL_KINDS = (
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """One thing that an answer shows: of a stream's events, the newest that fits.
+    """One thing that an answer shows: of a stream's events, the newest that fits; of a signal, the newest sample.
 
     of        the stream
-    field     the field that is shown
+    field     the field, or the channel, that is shown
     label     what it is, for people
     unit      default: the field's own
     decimals  of a number
     factor    what a number is multiplied with: 2 makes steps of strides
     values    words for values ({sleep: asleep}); an empty word shows nothing
     where     only events with these values ({final: false}); a list names several
-    count     how many events fit, instead of a field
+    count     how many events fit, instead of a field; of a signal, how many channels are above `above`
+    above     see `count`
+    between   two fields, the limits of what is shown, beside it
     since     since when the field has had its value, beside it
+    down_s    instead of a field: counts down from so many seconds since the newest event, while that one fits
     """
 
     of: str
@@ -40,7 +43,10 @@ class Shown:
     decimals: int = param(0, least=0, most=6)
     factor: float = 1.0
     count: bool = False
+    above: float = 0.0
+    between: tuple[str, ...] = ()
     since: bool = False
+    down_s: float = param(0.0, least=0.0, most=3600.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,16 @@ from difflib import get_close_matches
 MICRO = re.compile(r"(?<![^\W\d])u(?=[VST](?!\w))|^u(?=[sm]$)")
 """The u of a unit that stands by itself or behind a number: "uV", "12uV s", "uV/V"; not that of a word or a name."""
 
+SQUARE = re.compile(r"(?<![^\W\d])m/s(?:\^?2)(?!\w)")
+
 
 def shown(text: object) -> str:
-    """A unit, or a text with units, with the micro sign.
+    """A unit, or a text with units, with the micro sign and the square.
 
-    >>> shown("uV s"), shown("us"), shown("13 channels in uV"), shown("it tells us of emg_uV")
-    ('µV s', 'µs', '13 channels in µV', 'it tells us of emg_uV')
+    >>> shown("uV s"), shown("us"), shown("3 channels in m/s2"), shown("it tells us of emg_uV")
+    ('µV s', 'µs', '3 channels in m/s²', 'it tells us of emg_uV')
     """
-    return MICRO.sub("µ", str(text))
+    return SQUARE.sub("m/s²", MICRO.sub("µ", str(text)))
 
 
 WRITTEN = {

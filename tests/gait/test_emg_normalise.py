@@ -95,6 +95,18 @@ def test_rest_is_the_mean_and_the_baseline_noise(walked, tmp_path):
     assert "rest (µV)" in output and "noise (µV)" in output
 
 
+def test_a_contraction_that_is_taken_again_leaves_out_what_came_before(tmp_path):
+    spec, time, data = emg()
+    data[2000:3000, 0] *= 20  # the cable was pulled
+    data[2000:3000, 1] *= 20
+    text = np.dtype([("onset", "<i8"), ("text", "U64")])
+    note = (StreamSpec((), text, units=("ns", "")), time[4000:4001], np.array([(time[4000], "again TA")], text))
+    path = recorded(tmp_path / "mvc.mcap", {"treadmill.emg": (spec, time, data), "annotations": note})
+    run("mvc", path, "-o", str(tmp_path / "again.json"))
+    tibialis, soleus = AmplitudeReference.read(tmp_path / "again.json").values["mvc"]
+    assert tibialis < 200 and soleus > 200
+
+
 @pytest.mark.parametrize("kind", ["rest", "mvc"])
 def test_muscles_that_do_the_same_throughout_are_no_baseline_noise(tmp_path, kind):
     spec = StreamSpec((2,), rate_hz=1000.0, channels=NAMES, units=("uV",))

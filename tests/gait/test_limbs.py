@@ -223,6 +223,29 @@ def test_stages_by_protocol_annotation_and_measured_speed() -> None:
         Stages(plan).open({"closed": inputs["closed"][0]})
 
 
+def test_a_stage_that_is_paused_keeps_its_time_and_its_cycles() -> None:
+    from kinegraph.operators.cycles.cycle import CLOSED
+
+    onset = NS + np.arange(40) * NS
+    rows = np.zeros(40, CLOSED)
+    rows["onset"], rows["end"], rows["number"] = onset, onset + NS, np.arange(1, 41)
+    text = np.dtype([("onset", "<i8"), ("text", "U64")])
+    notes = np.array([(0, "pause stage"), (0, "resume stage"), (0, "pause stage"), (0, "resume stage")], text)
+    inputs = {
+        "signal": (StreamSpec((1,), rate_hz=10.0), grid(10.0, 420), np.zeros((420, 1))),
+        "annotations": (StreamSpec((), text), (np.array([3.5, 8.5, 20.5, 24.5]) * NS).astype(np.int64), notes),
+        "closed": (StreamSpec((), CLOSED, units=("",)), onset + NS + 1, rows),
+    }
+    plan = (ProtocolStage("slow", for_s=10, speed_m_s=0.8), ProtocolStage("fast", cycles=9, speed_m_s=1.6))
+    found = drive(Stages(plan), inputs, 4)
+    began, closed = found["stages"][2], found["closed"][2]
+    assert began["stage"].tolist() == ["slow", "", "slow", "fast", "", "fast", ""]
+    assert began["onset"][3] == NS + 15 * NS, "10 s of slow walking, and 5 s of pause"
+    assert began["cycles"].tolist()[4:] == [4, 4, 9]
+    assert closed["stage"].tolist()[:2] == ["slow"] * 2 and set(closed["stage"][3:7].tolist()) == {""}
+    assert closed["speed_m_s"][9] == 0.8, "its speed is known again"
+
+
 def test_limbs_that_fit_no_channel_are_refused() -> None:
     specs = {port: given[0] for port, given in some_limbs(1).items()}
     with pytest.raises(ParameterError, match="X_"):

@@ -80,3 +80,11 @@ def test_only_graphs_that_are_offered_can_be_named(unseen: Path) -> None:
 
 def test_a_replay_lets_only_reports_speak() -> None:
     assert reports_of(shipped()["treadmill_emg"]) == ["report.report"]
+
+
+def test_what_can_go_wrong_is_offered_where_a_simulated_source_has_it() -> None:
+    (source, *_) = form_of(shipped()["treadmill_both_legs"])["devices"]
+    ((text, made),) = source["rehearsals"].items()
+    assert "electrode of L_RF falls off" in text and made["treadmill.faults"][0]["kind"] == "flat"
+    rewritten(shipped()["treadmill_both_legs"], made)
+    assert all(not one["rehearsals"] for one in form_of(shipped()["bedside_sleep"])["devices"])

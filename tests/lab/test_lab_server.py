@@ -11,7 +11,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -29,6 +31,7 @@ __all__ = ["kinegraph"]
 pytestmark = needs_page
 
 TOKEN = "a-token"
+ROUNDS = ("round one", "round two", "round three", "round four", "round five")
 GRAPH = """
 nodes:
   board: {use: devices.people.treadmill.Treadmill}
@@ -137,6 +140,16 @@ def test_one_at_a_time_controls_a_session(tmp_path: Path) -> None:
     assert lab.controls("s", "two", take=True) and not lab.controls("s", "one")
 
 
+def test_the_cameras_picture_stays_on_the_labs_own_machine(tmp_path: Path) -> None:
+    request = SimpleNamespace(client=SimpleNamespace(host="192.168.1.20"))
+    with pytest.raises(KinegraphError, match="own machine alone"):
+        asyncio.run(Lab(tmp_path).post_look(request))  # type: ignore[arg-type]
+    graph = {"graph": "treadmill_emg", "values": {}}
+    with lab(tmp_path) as client:
+        status, body = client.ask("POST", "/api/look", graph)
+    assert status == 400 and "depth cameras; a bedside graph has one" in body["error"]
+
+
 @pytest.mark.nightly
 def test_a_session_outlives_the_lab_and_the_next_lab_ends_it(tmp_path: Path) -> None:
     (tmp_path / "graphs").mkdir()
@@ -165,6 +178,40 @@ def test_a_session_outlives_the_lab_and_the_next_lab_ends_it(tmp_path: Path) -> 
             assert recording.header["session"]["subject"] == "P1" and not recording.missing
             assert recording.read("annotations")[1]["text"].tolist() == ["seen"]
         assert second.ask("DELETE", path)[0] == 200 and not (tmp_path / "sessions" / made["id"]).exists()
+
+
+def watched_by_two(url: str, session: LabSession, word: str) -> None:
+    """Both look at the session; the first one alone can mark it, with the word."""
+    place, path = urlsplit(url), f"/api/sessions/{session.id}"
+    cookie = f"kinegraph-{place.port}={parse_qs(place.query)['token'][0]}"
+    one, two = ({"Cookie": cookie, "X-Client": name} for name in ("one", "two"))
+    client = Client(place.port or 0)
+    wait(lambda: client.ask("GET", path, **one)[1]["page"])
+    assert client.ask("GET", path, **one)[1]["controls"] and not client.ask("GET", path, **two)[1]["controls"]
+    assert client.ask("GET", f"/sessions/{session.id}/", **two)[0] == 200
+    assert client.ask("POST", f"{path}/mark", {"text": "not mine"}, **two)[0] == 400
+    wait(lambda: client.ask("POST", f"{path}/mark", {"text": word}, **one)[0] == 200)
+    wait(lambda: word in session.output)
+
+
+@pytest.mark.nightly
+def test_a_lab_that_is_killed_five_times_loses_nothing_while_two_watch_and_one_controls(tmp_path: Path) -> None:
+    from tests.lab.test_lab_page import lab as lab_process
+
+    home = tmp_path / "home"
+    (home / "graphs").mkdir(parents=True)
+    (home / "graphs" / "small.yaml").write_text(GRAPH)
+    session = Sessions(home).run("graphs/small.yaml", "small", {}, simulate=False)
+    for word in ROUNDS:
+        with lab_process(home) as (process, url):
+            watched_by_two(url, session, word)
+            process.kill()
+        assert session.runs
+    session.stop()
+    wait(lambda: not session.runs)
+    with Recording.open(session.folder) as recording:
+        assert not recording.missing and not [s for s in recording.streams.values() if s.gaps]
+        assert recording.read("annotations")[1]["text"].tolist() == [*ROUNDS]
 
 
 def wait(condition: Any, seconds: float = 120.0) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from kinegraph.operators.bed.setup.command import Preview
+from kinegraph.operators.bed.setup.graph import small
 from kinegraph.operators.bed.setup.judgement import Minute, judge
 from tests.support.command_line import Command, kinegraph, refused
 
@@ -40,6 +44,24 @@ def test_a_bed_that_was_found_holds_who_lies_in_it(kinegraph: Command) -> None:
 def test_what_is_not_well_is_named_and_ends_with_2(kinegraph: Command, more: tuple[object, ...], message: str) -> None:
     code, out, _ = kinegraph("sleep", "check", *ROOM, *more)
     assert code == 2 and message in out
+
+
+def test_a_look_writes_thinned_frames_until_nobody_reads_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[bytes] = []
+
+    def write(data: bytes) -> None:
+        written.append(data)
+        if len(written) == 2:
+            raise BrokenPipeError
+
+    monkeypatch.setattr("sys.stdout", SimpleNamespace(buffer=SimpleNamespace(write=write, flush=lambda: None)))
+    monkeypatch.setattr("kinegraph.operators.bed.setup.command.LOOK_S", 0.0)
+    wide = ["camera.width=400", "camera.height=240"]
+    Preview(small(CONFIGS / "bedside_simulated.yaml", wide).graph).run()
+    rows, columns, step = struct.unpack("<3I", written[0][:12])
+    assert (rows, columns, step) == (80, 134, 3) and len(written) == 2
+    depth = np.frombuffer(written[0][12:], "<u2").reshape(rows, columns)
+    assert 500 < np.median(depth[depth > 0]) < 5000
 
 
 def test_a_stereo_camera_without_a_light_is_refused_before_it_is_opened(kinegraph: Command) -> None:

@@ -210,9 +210,11 @@ def panels_of(graph: Graph, specs: dict[str, StreamSpec]) -> list[dict[str, Any]
     of = {
         n.name: inputs[n.name] if n.is_outlet else [str(Edge(n.name, o)) for o in n.specs] for n in graph.nodes.values()
     }
+    between = {str(edge) for node in graph.nodes.values() if not node.is_outlet for edge in node.inputs.values()}
+    between -= {str(edge) for edge in graph.record}
     return [
         *own_panels({node.name: node.part for node in graph.nodes.values()}, of, graph.page.modules, specs),
-        *default_panels(specs, inputs),
+        *default_panels(specs, inputs, between),
         *({"kind": kind, "of": [], "wide": wide} for kind, wide in (("state", 1), ("graph", 2), ("log", 2))),
     ]
 
@@ -239,8 +241,10 @@ def with_avatar(panels: list[dict[str, Any]], specs: dict[str, StreamSpec]) -> l
     return panels if shown or not followed else [{"kind": "avatar", "of": followed}, *panels]
 
 
-def default_panels(specs: dict[str, StreamSpec], inputs: dict[str, list[str]]) -> list[dict[str, Any]]:
-    """Panels by the streams' kinds; `inputs` says what each node reads."""
+def default_panels(
+    specs: dict[str, StreamSpec], inputs: dict[str, list[str]], between: Container[str] = ()
+) -> list[dict[str, Any]]:
+    """Panels by the streams' kinds; `inputs` says what each node reads. Signals in `between`, on the way to what is wanted, are folded."""
     of = {
         kind: [n for n, s in specs.items() if kind_of(s) == kind]
         for kind in ("signal", "events", "frame", "points", "pose", "mesh")
@@ -256,7 +260,8 @@ def default_panels(specs: dict[str, StreamSpec], inputs: dict[str, list[str]]) -
     signals = [
         n for n in of["signal"] if len(specs[n].channels) <= MANY_CHANNELS and specs[n].shape[0] <= MANY_CHANNELS
     ]
-    panels += [{"kind": "signal", "of": [name], "wide": 2} for name in signals]
+    for name in signals:
+        panels.append({"kind": "signal", "of": [name], "wide": 2, **({"folded": True} if name in between else {})})
     if of["events"]:
         panels += [{"kind": "events", "of": of["events"], "wide": 4, "title": "events"}]
         panels += [{"kind": "table", "of": of["events"], "title": "table of events"}]

@@ -2,7 +2,7 @@
 
 export interface Offer { graph: string; title: string; what: string }
 export interface Summary {
-  id: string; graph: string; name: string; subject: string; kind: "session" | "replay" | "import" | "mvc"; remarks: string; result: string; devices: string;
+  id: string; graph: string; name: string; title: string; subject: string; kind: "session" | "replay" | "import" | "mvc"; remarks: string; result: string; devices: string;
   began_s: number; lasted_s: number | null; runs: boolean; error: string; bytes: number;
 }
 export interface Home { uses: Offer[]; more: Offer[]; presets: Offer[]; graphs: Offer[]; sessions: Summary[]; free_bytes: number; folder: string }
@@ -10,7 +10,7 @@ export type Value = string | number | boolean | null | Value[] | { [key: string]
 export interface Field {
   name: string; label: string; unit: string; help: string; type: string; min: number | null; max: number | null; choices: Value[]; value: Value; part: string;
 }
-export interface Source { node: string; use: string; can_simulate: boolean; given: Record<string, Value> }
+export interface Source { node: string; use: string; can_simulate: boolean; given: Record<string, Value>; rehearsals: Record<string, Record<string, Value>> }
 export interface Form { graph: string; title: string; name: string; summary: string; fields: Field[]; devices: Source[]; checks: string[] }
 export interface Found { kind: string; address: string; what: string; yaml: string; note: string; use: string; parameters: Record<string, Value> }
 export interface State extends Summary {

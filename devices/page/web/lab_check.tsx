@@ -1,6 +1,6 @@
 // Checks before a session: electrodes or the bed as traffic lights with the reason; and strongest contractions as live bars.
 
-import { useEffect, useState } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { get, send } from "./lab_api";
 import type { Values } from "./lab_form";
 import { Stream } from "./store";
@@ -10,6 +10,9 @@ const POLL_MS = 500;
 const BARS_MS = 100;
 /** `kinegraph emg calibrate mvc` keeps the highest mean over so long. */
 const WINDOW_S = 0.5;
+/** A try begins above this share of the best, and is over below that. */
+const [BEGINS, OVER] = [0.5, 0.25];
+const TRIES = 3;
 
 interface Electrode { name: string; rest: number; contraction: number; flag: string; reason: string; advice?: string }
 interface Finding { well: boolean; text: string }
@@ -58,10 +61,15 @@ export function Check({ kind, graph, values, simulate }: { kind: string; graph: 
 
 /** The envelope of every muscle now, and the strongest half second of each: contract again for another try, the best counts. */
 export function Bars({ id, mark }: { id: string; mark: (text: string) => void }) {
-  const [bars, setBars] = useState<{ names: string[]; now: number[]; best: number[]; unit: string }>({ names: [], now: [], best: [], unit: "" });
+  const [bars, setBars] = useState<{ names: string[]; now: number[]; best: number[]; tries: number[]; unit: string }>({ names: [], now: [], best: [], tries: [], unit: "" });
+  const kept = useRef<{ best: number[]; tries: number[]; contracts: boolean[] }>({ best: [], tries: [], contracts: [] });
+  const again = (c: number, name: string) => {
+    kept.current.best[c] = 0;
+    kept.current.tries[c] = 0;
+    mark(`again ${name}`);
+  };
   useEffect(() => {
     let stream: Stream | null = null;
-    let best: number[] = [];
     const begin = (hello: Hello) => {
       const number = hello.streams.findIndex((one) => one.kind === "signal" && /envelope$/.test(one.name));
       const info = hello.streams[number];
@@ -80,9 +88,16 @@ export function Bars({ id, mark }: { id: string; mark: (text: string) => void })
       const newest = time.at(-1) as number;
       const from = time.findIndex((t) => t > newest - WINDOW_S);
       const now = low.map((values) => values.slice(from).reduce((sum, v) => sum + (v === v ? v : 0), 0) / Math.max(1, values.length - from));
-      best = now.map((v, c) => Math.max(v, best[c] ?? 0));
+      const { best, tries, contracts } = kept.current;
+      now.forEach((v, c) => {
+        best[c] = Math.max(v, best[c] ?? 0);
+        if (!contracts[c] && v > BEGINS * (best[c] as number)) {
+          tries[c] = (tries[c] ?? 0) + 1;
+          contracts[c] = true;
+        } else if (v < OVER * (best[c] as number)) contracts[c] = false;
+      });
       stream.forget(newest - 2);
-      setBars({ names: stream.info.channels, now, best, unit: stream.info.units[0] ?? "" });
+      setBars({ names: stream.info.channels, now, best: [...best], tries: [...tries], unit: stream.info.units[0] ?? "" });
     }, BARS_MS);
     return () => {
       clearInterval(timer);
@@ -92,12 +107,14 @@ export function Bars({ id, mark }: { id: string; mark: (text: string) => void })
   const full = Math.max(1e-9, ...bars.best);
   return (
     <section class="bars-live" aria-label="strongest contractions">
-      <h2>Contract one muscle after the other, as strongly as possible, for 3 s; three times each. The best counts.</h2>
+      <h2>Contract one muscle after the other, as strongly as possible, for 3 s; three times each. The best counts; “Again” forgets what a muscle did before.</h2>
       {bars.names.length ? bars.names.map((name, c) => (
         <div class="barline" key={name}>
-          <button type="button" onClick={() => mark(`mvc ${name}`)}>{name}</button>
+          <strong>{name}</strong>
           <meter min={0} max={full} value={bars.now[c] ?? 0} aria-label={`${name} now`} />
           <strong>{(bars.best[c] ?? 0).toFixed(0)} <span class="unit">{bars.unit}</span></strong>
+          <span class={(bars.tries[c] ?? 0) >= TRIES ? "good" : "quiet"}>{Math.min(TRIES, bars.tries[c] ?? 0)} of {TRIES}</span>
+          <button type="button" aria-label={`take ${name} again`} onClick={() => again(c, name)}>Again</button>
         </div>
       )) : <p class="quiet">waiting for the envelope…</p>}
     </section>

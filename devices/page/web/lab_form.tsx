@@ -127,11 +127,28 @@ export function Fields({ fields, values, change }: { fields: Field[]; values: Va
 }
 
 /** Which devices: those that are connected, or simulated ones. */
-export function Devices({ sources, found, simulate, choose, chosen, pick }: {
+export function Devices({ sources, found, simulate, choose, chosen, pick, values, rehearse }: {
+  values: Values;
+  rehearse: (all: string[], chosen: Values) => void;
   sources: Source[]; found: Found[] | null; simulate: boolean; choose: (simulate: boolean) => void; chosen: Record<string, string>; pick: (node: string, address: string) => void;
 }) {
   const real = sources.filter((source) => source.can_simulate);
-  if (!real.length) return <p class="quiet">This graph needs no device: {sources.map((source) => source.node).join(", ") || "it"} is simulated.</p>;
+  if (!real.length) {
+    const tried = Object.assign({}, ...sources.map((source) => source.rehearsals)) as Source["rehearsals"];
+    const all = Object.values(tried).flatMap(Object.keys);
+    const now = Object.entries(tried).find(([, made]) => Object.entries(made).every(([key, value]) => written(values[key]) === written(value)))?.[0] ?? "";
+    return (
+      <>
+        <p class="quiet">This use needs no device: what it measures is simulated.</p>
+        {all.length ? (
+          <div class="field"><label for="rehearsal">Try what goes wrong</label>
+            <select id="rehearsal" value={now} onChange={(e) => rehearse(all, tried[e.currentTarget.value] ?? {})}>
+              <option value="">nothing</option>{Object.keys(tried).map((text) => <option key={text} value={text}>{text}</option>)}
+            </select></div>
+        ) : null}
+      </>
+    );
+  }
   return (
     <>
       <div class="choice" role="radiogroup" aria-label="devices">

@@ -12,7 +12,7 @@ export function Library() {
   if (!home) return <p class="quiet" role="status">{error || "reading the lab’s folder…"}</p>;
   const wanted = text.toLowerCase().split(/\s+/).filter(Boolean);
   const found = home.sessions.filter((one) => {
-    const all = [one.subject, one.name, one.kind, one.remarks, one.result, one.devices, day(one.began_s)].join(" ").toLowerCase();
+    const all = [one.subject, one.name, one.title, one.kind, one.remarks, one.result, one.devices, day(one.began_s)].join(" ").toLowerCase();
     return wanted.every((word) => all.includes(word));
   });
   const take = async (files: FileList | null) => {
@@ -40,8 +40,8 @@ export function Library() {
           <thead><tr>{["Date", "Subject", "Use", "Result", "Length", "Size"].map((head) => <th key={head} scope="col">{head}</th>)}</tr></thead>
           <tbody>{found.map((one) => (
             <tr key={one.id}>
-              <td><a href={`#/session/${encodeURIComponent(one.id)}`}>{day(one.began_s)}</a></td><td>{one.subject}</td><td>{one.name.replace(/_/g, " ")}{one.kind !== "session" ? ` (${one.kind})` : ""}</td>
-              <td class={one.error ? "bad" : ""}>{one.runs ? "running" : one.error ? one.error.split("\n")[0] : one.result === "-" ? "" : one.result}</td>
+              <td><a href={`#/session/${encodeURIComponent(one.id)}`}>{day(one.began_s)}</a></td><td>{one.subject}</td><td>{one.title}{one.kind !== "session" ? ` (${one.kind})` : ""}</td>
+              <td class={one.error ? "bad wraps" : "wraps"}>{one.runs ? "running" : one.error ? one.error.split("\n")[0] : one.result === "-" ? "" : one.result}</td>
               <td class="number">{one.lasted_s ? lasting(one.lasted_s) : ""}</td><td class="number">{size(one.bytes)}</td>
             </tr>
           ))}</tbody>

@@ -6,9 +6,12 @@ import { Bars } from "./lab_check";
 import { Fields, type Values } from "./lab_form";
 import { usePolled } from "./lab_poll";
 import { again } from "./lab_setup";
+import { HINTS } from "./hints";
 import { Connection, type Hello, type Message } from "./wire";
 
 const POLL_MS = 1000;
+/** What operators.cycles.stages understands. */
+const [PAUSE, RESUME] = ["pause stage", "resume stage"];
 const EXPORTS = ["csv", "xdf", "matlab", "xlsx", "c3d", "edf", "parquet"];
 
 export function SessionView({ id }: { id: string }) {
@@ -38,8 +41,12 @@ function Running({ state, path, lost, ask }: { state: State; path: string; lost:
   const act = (what: string, given: object = {}, done = "") =>
     send(`${path}/${what}`, given).then(() => { setStatus(done); ask(); }, (error: Error) => setStatus(error.message));
   const mark = (word: string) => void act("mark", { text: word }, `marked: ${word}`);
-  const words = hello?.words ?? [];
-  const groups: [string, string[]][] = [["Stages", words.filter((word) => /stage|next/.test(word))], ["Cycles and more", words.filter((word) => !/stage|next/.test(word))]];
+  const [paused, setPaused] = useState(false);
+  const offered = hello?.words ?? [];
+  const canPause = offered.includes(PAUSE);
+  const words = offered.filter((word) => word !== PAUSE && word !== RESUME);
+  const pause = () => { mark(paused ? RESUME : PAUSE); setPaused(!paused); };
+  const groups: [string, string[]][] = [["Stages", words.filter((word) => /stage|next/.test(word))], [words.some((word) => word.startsWith("leave out")) ? "Cycles and more" : "More", words.filter((word) => !/stage|next/.test(word))]];
   const source = useMemo(() => `sessions/${encodeURIComponent(state.id)}/`, [state.id]);
   return (
     <div class="run">
@@ -47,7 +54,8 @@ function Running({ state, path, lost, ask }: { state: State; path: string; lost:
         <div class="facts">
           <span class={`light ${state.page ? "on" : ""}`} role="img" aria-label={state.page ? "recording" : "starting"} />
           <strong class="clock">{lasting(state.now_s - state.began_s)}</strong>
-          <span><strong>{state.subject || state.name.replace(/_/g, " ")}</strong> <span class="quiet">{size(state.free_bytes)} of disk left</span></span>
+          <span class="who"><strong>{state.subject || state.title}</strong>
+            <output role="status" class={lost ? "bad" : "quiet"}>{lost || status || `${size(state.free_bytes)} of disk left`}</output></span>
         </div>
         {state.controls ? (
           <div class="large" role="toolbar" aria-label="session">
@@ -55,6 +63,7 @@ function Running({ state, path, lost, ask }: { state: State; path: string; lost:
               <input ref={text} maxlength={64} placeholder="what happened" aria-label="what happened" />
               <button type="submit">Mark</button>
             </form>
+            {canPause ? <button type="button" aria-pressed={paused} onClick={pause}>{paused ? "Resume stage" : "Pause stage"}</button> : null}
             {groups.map(([title, group]) => group.length ? (
               <details key={title} class="menu"><summary>{title}</summary><div onClick={(e) => { if (e.target instanceof HTMLButtonElement) e.currentTarget.closest("details")?.removeAttribute("open"); }}>{group.map((word) => <Word key={word} word={word} mark={mark} />)}</div></details>
             ) : null)}
@@ -63,7 +72,6 @@ function Running({ state, path, lost, ask }: { state: State; path: string; lost:
             ) : <button type="button" class="stop" disabled={stopping} onClick={() => setEnding(true)}>{stopping ? "ending…" : "Stop"}</button>}
           </div>
         ) : <div class="large"><span class="quiet">somebody else controls this session</span><button type="button" onClick={() => void act("control")}>Take control</button></div>}
-        <output role="status" class={lost ? "bad" : "quiet"}>{lost || status}</output>
       </div>
       {state.page && state.kind === "mvc" ? <Bars id={state.id} mark={mark} /> : state.page ? <iframe class="page" src={source} title="what the session measures" /> : (
         <div class="waiting" role="status"><p>Starting</p><p class="quiet">{lastLine(state.output) || "devices are looked for, and kernels are made ready; the first start of a use takes longest"}</p></div>
@@ -78,7 +86,7 @@ function Word({ word, mark }: { word: string; mark: (word: string) => void }) {
   if (!word.endsWith(" ")) return <button type="button" onClick={() => mark(word)}>{word}</button>;
   return (
     <form onSubmit={(e) => { e.preventDefault(); const status = field.current?.value.trim(); if (status) mark(word + status); if (field.current) field.current.value = ""; }}>
-      <input ref={field} size={10} aria-label={word.trim()} placeholder={word.includes("stage") ? "1.2 m/s" : "17 TA"} /><button type="submit">{word.trim()}</button>
+      <input ref={field} size={10} aria-label={word.trim()} placeholder={HINTS[word.trim()] ?? ""} /><button type="submit">{word.trim()}</button>
     </form>
   );
 }
@@ -130,8 +138,8 @@ function Finished({ state, path }: { state: State; path: string }) {
   return (
     <div class="sheet finished">
       <header class="plainhead">
-        <h1>{state.subject || state.name.replace(/_/g, " ")}</h1>
-        <p class="quiet">{state.name.replace(/_/g, " ")}, {day(state.began_s)}{state.lasted_s ? `, ${lasting(state.lasted_s)}` : ""}, {[size(state.bytes), state.devices].filter(Boolean).join(", ")}</p>
+        <h1>{state.subject || state.title}</h1>
+        <p class="quiet">{state.title}, {day(state.began_s)}{state.lasted_s ? `, ${lasting(state.lasted_s)}` : ""}, {[size(state.bytes), state.devices].filter(Boolean).join(", ")}</p>
       </header>
       {state.error ? <section class="problem" role="alert"><h2>It ended with an error</h2><pre>{state.error}</pre></section> : null}
       {state.result && state.result !== "-" ? <p class="answerline">{state.result}</p> : null}

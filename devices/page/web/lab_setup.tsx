@@ -4,6 +4,7 @@ import { useEffect, useState } from "preact/hooks";
 import { type Form, type Found, get, send, type Value } from "./lab_api";
 import { Check } from "./lab_check";
 import { Devices, Fields, type Values } from "./lab_form";
+import { BedRegion } from "./lab_region";
 
 const SUBJECT = "session.subject";
 
@@ -64,6 +65,10 @@ export function Setup({ graph }: { graph: string }) {
     });
   };
   const facts = form.fields.filter((field) => field.name.startsWith("session."));
+  const region = form.fields.find((field) => /(^|\.)regions$/.test(field.name));
+  const simulated = simulate && form.devices.some((one) => one.can_simulate);
+  const sleepers = form.fields.find((field) => /(^|\.)sleepers$/.test(field.name));
+  const names = sleepers ? (values[sleepers.name] ?? sleepers.value) : null;
   const settings = form.fields.filter((field) => !field.name.startsWith("session."));
   return (
     <form class="setup" onSubmit={(e) => { e.preventDefault(); void start(); }}>
@@ -71,16 +76,20 @@ export function Setup({ graph }: { graph: string }) {
       <p class="quiet">{form.summary}</p>
       <section><h2>Who</h2><Fields fields={facts} values={values} change={change} /></section>
       <section><h2>Devices</h2>
-        <Devices sources={form.devices} found={found} simulate={simulate} choose={setSimulate} chosen={chosen} pick={(node, address) => setChosen((old) => ({ ...old, [node]: address }))} />
+        <Devices values={values} rehearse={(all, chosen) => setValues((old) => {
+          const kept = Object.fromEntries(Object.entries(old).filter(([key]) => !all.includes(key)));
+          return { ...kept, ...chosen };
+        })} sources={form.devices} found={found} simulate={simulate} choose={setSimulate} chosen={chosen} pick={(node, address) => setChosen((old) => ({ ...old, [node]: address }))} />
       </section>
       {settings.length ? <section><h2>Settings</h2><Fields fields={settings} values={values} change={change} /></section> : null}
       {form.checks.length ? (
         <section><h2>Check</h2>
-          {form.checks.filter((kind) => kind !== "mvc").map((kind) => <Check key={kind} kind={kind} graph={graph} values={all} simulate={simulate && form.devices.some((one) => one.can_simulate)} />)}
+          {form.checks.includes("bed") && region ? <BedRegion graph={graph} name={region.name} values={all} given={values[region.name] ?? region.value} sleepers={Array.isArray(names) ? Math.max(1, names.length) : 1} simulate={simulated} change={change} /> : null}
+          {form.checks.filter((kind) => kind !== "mvc").map((kind) => <Check key={kind} kind={kind} graph={graph} values={all} simulate={simulated} />)}
           {form.checks.includes("mvc") ? <div class="actions"><button type="button" disabled={busy} onClick={() => void start("mvc")}>Strongest contractions…</button><span class="quiet">muscle by muscle, as a reference for amplitudes</span></div> : null}
         </section>
       ) : null}
-      <div class="actions">
+      <div class="actions starting">
         <button type="submit" class="primary" disabled={busy}>Start</button>
         <button type="button" disabled={busy} onClick={keep}>Save as preset</button>
         <span role="status" class={status.startsWith("kept") ? "good" : "bad"}>{status}</span>

@@ -5,13 +5,14 @@ import { Arranger } from "./arrange";
 import { CyclesPanel } from "./cycles";
 import { EventsPanel, TablePanel } from "./events";
 import { FramePanel } from "./frame";
+import { HINTS } from "./hints";
 import { HypnogramPanel } from "./hypnogram";
 import { LiveMapPanel } from "./map_live";
 import { OwnPanel } from "./own";
 import { showKeys } from "./keys";
 import { make, type Page, Panel, type Span } from "./panel";
 import { AvatarPanel, ScenePanel } from "./scene";
-import { picture, saveTable } from "./save";
+import { drawing, picture, saveTable } from "./save";
 import { SignalPanel } from "./signal";
 import { SimilarityPanel } from "./similarity";
 import { GraphPanel, LogPanel, StatePanel } from "./state";
@@ -22,7 +23,10 @@ import { Connection, type Hello, type Message, type StateMessage, VERSION } from
 
 const WINDOWS_S = [2, 5, 10, 30, 60, 300, 1800, 3600, 36000];
 const LOOK_MS = 80;
-const STARTING = "starting: compiling, then waiting for";
+const WAITS = "starting: ";
+const STARTING = `${WAITS}compiling, then waiting for`;
+/** How far the compilation is, in its own words. */
+const KERNELS = /kernel (\d+) of (\d+)/;
 /** What people type, for which no session waits. */
 const MANUAL = "stream.manual.";
 const GONE = "kinegraph is no longer running";
@@ -30,20 +34,20 @@ const GONE = "kinegraph is no longer running";
 const [LONG_S, SHORTEST] = [300, 1 / 8];
 /** Fewer words than this need no menus. */
 const FEW = 4;
-/** What fields of words take. */
-const HINTS: Record<string, string> = { stage: "1.2 m/s", "leave out": "17 TA", use: "17", "this is:": "squat", speed: "1.2" };
 /** A panel of this width is as wide as the page. */
 const WHOLE = 4;
 const DRAW_MS = 1000 / 60;
 /** Panels about the engine: folded away where a graph has an answer. */
 const ENGINE = new Set(["state", "graph", "log"]);
 /** Panels without anything to save. */
-const TEXTS = new Set(["state", "log", "graph", "answer"]);
+const TEXTS = new Set(["state", "log", "answer"]);
 /** Within the lab, which has the session's name and its controls. */
 const EMBEDDED = window.parent !== window;
 /** The avatar alone, on a transparent background: for OBS and other programs that lay it over a picture. */
 const ALONE = "#avatar";
 const SLOW_DRAW_MS = 250;
+/** The fact of a session that names the devices that are not real. */
+const SIMULATED = "simulated_sources";
 /** A machine that draws slowly rests for as long as it drew. */
 const BREATH = 2;
 /** How slowly the right edge gives way where samples come late (s per s). */
@@ -66,6 +70,9 @@ class Main implements Page {
   private readonly host = document.getElementById("panels") as HTMLElement;
   private readonly inner = make("div", { class: "panels" });
   private readonly folded = make("details", { class: "signals" }, make("summary", {}, "signals"), this.inner);
+  private readonly waits = make("span");
+  private readonly progress = make("progress", { "aria-label": "kernels that are compiled" });
+  private readonly waiting = make("div", { class: "waiting", hidden: "" }, make("strong", {}, "Starting"), this.waits, this.progress);
   private readonly status = document.getElementById("status") as HTMLOutputElement;
   private readonly controls = document.getElementById("controls") as HTMLElement;
   private readonly windows = make("select", { "aria-label": "seconds shown" });
@@ -92,6 +99,7 @@ class Main implements Page {
   private over = "";
 
   constructor() {
+    this.host.before(this.waiting);
     document.body.classList.toggle("embedded", EMBEDDED);
     document.body.classList.toggle("alone", location.hash === ALONE);
     const dark = matchMedia("(prefers-color-scheme: dark)");
@@ -132,6 +140,12 @@ class Main implements Page {
 
   private say(state: string): void {
     this.status.textContent = state;
+    const waits = state.startsWith(WAITS);
+    const [, done, all] = KERNELS.exec(state) ?? [];
+    this.waiting.hidden = !waits;
+    if (waits) this.waits.textContent = state.slice(WAITS.length);
+    this.progress.hidden = !all;
+    if (all) Object.assign(this.progress, { max: Number(all), value: Number(done) });
     document.body.dataset["state"] = state;
   }
 
@@ -203,7 +217,7 @@ class Main implements Page {
     this.recording = hello.mode === "recording";
     this.ahead = -Infinity;
     document.title = `${hello.name} · kinegraph`;
-    const facts = Object.entries(hello.session).map(([key, value]) => `${key}: ${value}`).join(" · ");
+    const facts = Object.entries(hello.session).map(([key, value]) => (key === SIMULATED ? `simulated: ${value}` : `${key.replace(/_/g, " ")}: ${value}`)).join(" · ");
     (document.getElementById("name") as HTMLElement).replaceChildren(hello.name, ...(facts ? [make("small", {}, facts)] : []));
     this.streams = hello.streams.map((info, i) => new Stream(info, i));
     for (const panel of this.panels) panel.leave();
@@ -246,11 +260,12 @@ class Main implements Page {
   }
 
   private fillIn(host: HTMLElement): void {
+    for (const panel of this.panels) if (panel.element.parentElement === host) panel.element.style.gridColumn = ""; // a wide one makes columns of its own
     const columns = getComputedStyle(host).gridTemplateColumns.split(" ").length;
     const rows: { free: number; last: Panel | null; wide: number }[] = [];
     for (const panel of this.panels) {
       if (panel.element.parentElement !== host) continue;
-      const wide = panel.info.wide === WHOLE ? columns : Math.min(columns, panel.info.wide ?? 1);
+      const wide = panel.info.wide === WHOLE || panel.info.kind === "answer" ? columns : Math.min(columns, panel.info.wide ?? 1);
       panel.element.style.gridColumn = `span ${wide}`;
       const row = rows.find(({ free }) => free >= wide) ?? rows[rows.push({ free: columns, last: null, wide }) - 1];
       if (!row) continue;
@@ -269,7 +284,8 @@ class Main implements Page {
     };
     const head = panel.element.querySelector("header");
     if (panel.streams.length) head?.append(button("CSV", "save what is shown as a table", () => saveTable(panel, this.span())));
-    if (panel.element.querySelector("canvas")) head?.append(button("PNG", "save as a picture", () => {
+    if (panel instanceof GraphPanel) head?.append(button("SVG", "save as a drawing", () => drawing(panel)));
+    else if (panel.element.querySelector("canvas")) head?.append(button("PNG", "save as a picture", () => {
       panel.draw(this.span());
       picture(panel);
     }));

@@ -33,6 +33,21 @@ export function picture(panel: Panel): void {
   copy.toBlob((blob) => { if (blob) save(named(panel, "png"), blob); });
 }
 
+/** The drawing of a panel, with the colours that it has now. */
+export function drawing(panel: Panel): void {
+  const svg = panel.element.querySelector("svg");
+  if (!svg) return;
+  const copy = svg.cloneNode(true) as SVGElement;
+  const [from, to] = [svg, copy].map((one) => [one, ...one.querySelectorAll<SVGElement>("*")]) as [SVGElement[], SVGElement[]];
+  from.forEach((one, i) => {
+    const style = getComputedStyle(one);
+    for (const name of ["fill", "stroke", "stroke-width", "stroke-dasharray", "font", "paint-order"]) to[i]?.style.setProperty(name, style.getPropertyValue(name));
+  });
+  copy.style.background = colour("panel");
+  copy.setAttribute("xmlns", "http://www.w3.org/2000/svg");
+  save(named(panel, "svg"), new Blob([new XMLSerializer().serializeToString(copy)], { type: "image/svg+xml" }));
+}
+
 const quoted = (cell: Cell | undefined): string => {
   const text = cell === null || cell === undefined || (typeof cell === "number" && Number.isNaN(cell)) ? "" : String(cell);
   return /[",\n]/.test(text) ? `"${text.replace(/"/g, '""')}"` : text;

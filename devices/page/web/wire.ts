@@ -26,7 +26,7 @@ export interface AvatarInfo { parents: number[]; bones: AvatarBone[] }
 /** One thing that an answer shows: see `Shown` in stream/graph/page_options.py. */
 export interface ShownInfo {
   of: string; field?: string; label?: string; unit?: string; decimals?: number; factor?: number; values?: Record<string, string>;
-  where?: Record<string, Cell | Cell[]>; count?: boolean; since?: boolean;
+  where?: Record<string, Cell | Cell[]>; count?: boolean; above?: number; between?: string[]; since?: boolean; down_s?: number;
 }
 export interface PanelInfo {
   kind: string;

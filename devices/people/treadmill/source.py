@@ -114,6 +114,15 @@ class Treadmill(PacedSource):
             "force": StreamSpec((1,), rate_hz=self.rate_hz, channels=("Fz",), units=("N",), meta=walk),
         }
 
+    def rehearsals(self) -> dict[str, dict[str, Any]]:
+        """What can be tried with it: in words, and by which parameters."""
+        fallen = {"kind": "flat", "muscle": self._channels()[0], "from_s": 10, "for_s": 10}
+        return {
+            f"the electrode of {fallen['muscle']} falls off after 10 s, and is taped again 10 s later": {
+                "faults": [fallen]
+            }
+        }
+
     def _channels(self) -> tuple[str, ...]:
         """The EMG channels' names."""
         if self.legs == "right":

@@ -13,12 +13,19 @@ from kinegraph.devices.reports.training.rows import Exercise, Training, exercise
 from kinegraph.stream.chunk import NEVER, NS
 from kinegraph.stream.text import report
 from kinegraph.stream.text.time_text import elapsed, minute
+from kinegraph.stream.text.units import shown
 
 BAR_WIDTH, BARS_HEIGHT = 9, 46
 """Pixels of a repetition's bar, and of the longest one's height."""
 COURSE_WIDTH, COURSE_HEIGHT = 760, 44
 SCALE = 0.1
 """The height of a course is at least this share of its values, so that an invisible difference looks like 0."""
+
+
+def _fact(key: str, value: Any) -> tuple[str, str]:
+    """A fact of the session, for people."""
+    words = ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+    return "simulated" if key == "simulated_sources" else key.replace("_", " "), words
 
 
 def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, table: str) -> str:
@@ -28,14 +35,14 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
     return report.render(
         Path(__file__).with_name("page.html.j2"),
         title,
-        facts=[(key.replace("_", " "), str(value)) for key, value in facts.items()],
+        facts=[_fact(key, value) for key, value in facts.items()],
         began="" if training.began == NEVER else minute(training.began),
         sets=sets,
         totals=totals(sets),
         lasted=elapsed(lasted, hours=False),
         repetitions=sum(one.repetitions for one in sets),
         left_out=training.left_out,
-        unit=unit,
+        unit=shown(unit),
         table_file=table,
         number=number,
         minutes=partial(elapsed, hours=False),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import struct
+import sys
 from contextlib import nullcontext
 from itertools import accumulate
 from pathlib import Path
+from time import monotonic, sleep
 from typing import Annotated, Any
 
 import numpy as np
@@ -18,6 +21,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.text.safe_text import say
 
 BREATH_S = 30.0
+LOOK_S, MOST_COLUMNS = 0.2, 160
 
 
 def check(
@@ -28,6 +32,12 @@ def check(
     in_s: Annotated[float, typer.Option("--in", min=10.0, help="how long to lie still, in s")] = 60.0,
     simulate: Annotated[
         bool, typer.Option("--simulate", help="a simulated camera in the place of the real one")
+    ] = False,
+    look: Annotated[
+        bool,
+        typer.Option(
+            "--look", help="for a screen: write thinned frames to standard output until it is closed, and judge nothing"
+        ),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -50,6 +60,9 @@ def check(
     if complaint := getattr(camera, "blind_at_night", ""):
         raise KinegraphError(f"node 'camera': {complaint}")
     with simulated(made.graph) if simulate else nullcontext():
+        if look:
+            Preview(made.graph).run()
+            return
         looks = Looks(made.graph, out_s, between_s, in_s, quiet=as_json)
         looks.run()
     stays = dict(zip(looks.sleepers, looks.minutes[1:], strict=True))
@@ -181,8 +194,6 @@ class Looks:
         return self._clock.now()
 
     def wait(self, seconds: float) -> bool:
-        from time import sleep
-
         sleep(0.0 if self.stopped else seconds)
         return self.stopped
 
@@ -206,3 +217,35 @@ class Looks:
 
     def saved(self) -> int:
         return FOREVER
+
+class Preview(Looks):
+    """A feed that writes the camera's frames to standard output, thinned, a few in a second: sides and step, 4 bytes each, then uint16 mm.
+
+    A camera that is simulated faster than time is held back to it.
+    """
+
+    def __init__(self, graph: Any) -> None:
+        super().__init__(graph, 1.0, 1.0, 1.0, quiet=True)
+        source = self.graph.nodes["simplify"].inputs["in"]
+        self._stream, self._first, self._next_s, self._began_s = str(source), -1, 0.0, 0.0
+
+    def emit(self, chunk: Chunk, output: str = "out") -> None:
+        if f"camera.{output}" != self._stream or not len(chunk.time) or self.stopped:
+            return
+        now_s = monotonic()
+        if self._first < 0:
+            self._first, self._began_s = int(chunk.time[0]), now_s
+        ahead_s = (int(chunk.time[-1]) - self._first) / NS - (now_s - self._began_s)
+        if ahead_s > 0:
+            sleep(min(ahead_s, LOOK_S))
+        if monotonic() < self._next_s:
+            return
+        self._next_s = monotonic() + LOOK_S
+        frame = np.asarray(chunk.data[-1])
+        step = max(1, -(-frame.shape[1] // MOST_COLUMNS))
+        thin = np.ascontiguousarray(frame[::step, ::step], "<u2")
+        try:
+            sys.stdout.buffer.write(struct.pack("<3I", *thin.shape, step) + thin.tobytes())
+            sys.stdout.buffer.flush()
+        except OSError:  # who looked has left
+            self.stopped = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from enum import StrEnum
 from pathlib import Path as File
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from kinegraph.operators.emg.amplitude_reference import AmplitudeReference
     from kinegraph.operators.emg.envelope import Envelope
+    from kinegraph.stream.chunk import Samples, Times
     from kinegraph.stream.recording import Recording
 
 
@@ -56,8 +58,9 @@ def calibrate(
 ) -> None:
     """Make a reference for amplitude normalisation (operators.emg.normalise.Normalise) from a recording.
 
-    mvc: per muscle the highest mean of the envelope over `--window-s`. rest: the envelope's mean, and the raw signal's baseline noise.
-    task: peak and mean of the mean cycle. The envelope is computed as the graph does, and the reference is valid for no other.
+    mvc: per muscle the highest mean of the envelope over `--window-s`; an annotation "again TA" leaves out what TA did before. rest: the
+    envelope's mean, and the raw signal's baseline noise. task: peak and mean of the mean cycle. The envelope is computed as the graph does,
+    and the reference is valid for no other.
     """
     from kinegraph.stream.recording import Recording
 
@@ -99,7 +102,7 @@ def reference(
     flags, noise = quality(spec, recording.chunks(name), steady=kind != "task")
     note = f"{len(time) / (out.rate_hz or 1):.1f} s of {name}"
     if kind == "mvc":
-        values = {"mvc": highest_mean(time, data, out, window_s)}
+        values = {"mvc": highest_mean(time, since_again(recording, spec.channels, time, data), out, window_s)}
         note += f", highest mean over {window_s:g} s"
     elif kind == "rest":
         values = {"rest": np.nanmean(data, axis=0)}
@@ -125,6 +128,21 @@ def reference(
         date=utc(int(time[0]))[:10] if time[0] > 10**18 else "",
         note=note,
     ), flags
+
+
+def since_again(recording: Recording, channels: Sequence[str], time: Times, data: Samples) -> Samples:
+    """The envelope without what a muscle did before the last annotation "again MUSCLE": its contraction was taken again."""
+    import numpy as np
+
+    if "annotations" not in recording.streams:
+        return data
+    _, notes = recording.read("annotations")
+    data = data.copy()
+    for onset, text in zip(notes["onset"].tolist(), notes["text"].tolist(), strict=True):
+        word, _, name = str(text).partition(" ")
+        if word == "again" and name in channels:
+            data[time < onset, list(channels).index(name)] = np.nan
+    return data
 
 
 def raw_emg(recording: Recording) -> str:

@@ -54,9 +54,8 @@ def compare(
     for path in (page, table):
         if path.exists() and not overwrite:
             raise KinegraphError(f"{path} exists; --overwrite replaces it, --out names another folder")
-    recordings = [
-        [part for leg in read_sessions(path, node) for part in by_stage(leg)] for path in sessions_at(sessions)
-    ]
+    compared = [*sessions_at(sessions)]
+    recordings = [[part for leg in read_sessions(path, node) for part in by_stage(leg)] for path in compared]
     read = [session for recording in recordings for session in recording]
     if len(read) < 2:
         raise KinegraphError("one session alone has nothing to be compared with; name two, or one with two legs")
@@ -69,7 +68,7 @@ def compare(
     groups, notes = groups_of(recordings)
     found = compare_sessions(read, PeakMixtures(cycles=MOST_CYCLES), groups, relevant)
     private_folder(output)
-    write_page(found, page, " and ".join(found.labels) if len(read) < 4 else f"{len(read)} sessions")
+    write_page(found, page, " and ".join(found.labels) if len(read) < 4 else f"{len(compared)} sessions compared")
     write_tables(found, table)
     if as_json:
         bands = [

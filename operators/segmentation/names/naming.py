@@ -133,6 +133,9 @@ class NameRepetitions(Operator[NamingState]):
     )
     window_s: float = param(60.0, above=0.0, most=600.0, help="how much of the features is kept")
 
+    def annotations_understood(self) -> list[str]:
+        return ["this is: "]
+
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         numeric(spec)
