@@ -28,6 +28,7 @@ USES = {
     "step_biometrics": ("Steps", "Every step from one sensor, and the manner of walking"),
     "avatar": ("Avatar, with a camera", "An avatar that follows a person before a depth camera"),
     "avatar_markers": ("Avatar, with markers", "An avatar that follows motion capture"),
+    "webcam_avatar": ("Avatar, with a webcam", "An avatar that follows a person before any camera"),
     "steer_mesh": ("Mesh", "A mesh that follows a few markers"),
 }
 """Shipped graphs with what people call them, in the order in which they are offered."""

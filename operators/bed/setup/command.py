@@ -218,6 +218,7 @@ class Looks:
     def saved(self) -> int:
         return FOREVER
 
+
 class Preview(Looks):
     """A feed that writes the camera's frames to standard output, thinned, a few in a second: sides and step, 4 bytes each, then uint16 mm.
 
