@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path as File
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -63,9 +64,12 @@ def evaluate(
 
     Of a batch's results every job is evaluated, and each combination of settings has its own tables.
 
+    Where the reference's EDF has an effort belt and the estimate breathing rates, these are compared, too.
+
     An EDF file says no time zone: both then go by the clock on the wall. epochs.csv and recordings are in UTC.
     """
     from kinegraph.operators.sleep.evaluation.comparison import NOTE, results, tables
+    from kinegraph.operators.sleep.evaluation.effort import HEADER, breath_agreement
     from kinegraph.stream.text.screen import Screen
 
     pairs: list[Pair] = []
@@ -75,8 +79,11 @@ def evaluate(
     for name, settings, e, (r, person, late) in wanted:
         pairs.append(_pair(name, e, r, person, late, stream, epoch_s))
         groups.setdefault(settings, []).append(pairs[-1])
+    found = [breath_agreement(name, e, r, late) for name, _, e, (r, _, late) in wanted]
+    breath = [one for one in found if one is not None]
     if as_json:
-        print_json([{"settings": settings, **results(of)} for settings, of in groups.items()])
+        more = {"breath": [asdict(one) for one in breath]} if breath else {}
+        print_json([{"settings": settings, **results(of), **more} for settings, of in groups.items()])
     console = Screen(stderr=as_json)
     for settings, of in groups.items() if not as_json else ():
         if settings:
@@ -84,6 +91,14 @@ def evaluate(
         for table in tables(of):
             console.print(table)
             console.print()
+    if breath and not as_json:
+        from rich.table import Table
+
+        table = Table(*HEADER, box=None, title="Breathing beside the effort belt", title_justify="left")
+        for one in breath:
+            table.add_row(*one.row())
+        console.print(table)
+        console.print()
     console.print(NOTE)
     if output:
         _write(pairs, output, overwrite)
