@@ -27,6 +27,7 @@ class Action(StrEnum):
     report = "report"
     weeks = "weeks"
     export = "export"
+    study = "study"
     delete = "delete"
 
 
@@ -39,7 +40,8 @@ def nights(
         Action,
         typer.Argument(
             metavar="ACTION",
-            help="list all, with trends; draw a night's report again; report on weeks; export one table; delete a night",
+            help="list all, with trends; draw a night's report again; report on weeks; export one table; "
+            "copy nights for a study; delete a night",
         ),
     ] = Action.list,
     names: Annotated[list[str] | None, typer.Argument(metavar="NIGHT", help="such as 2026-11-20, or last")] = None,
@@ -57,12 +59,13 @@ def nights(
     output: Annotated[
         Path | None, typer.Option("-o", "--out", help="weeks: the folder; export: the file; report: one page as PDF")
     ] = None,
+    code: Annotated[str, typer.Option(help="study: what the sleeper is called there, such as P01")] = "",
     as_json: AsJson = False,
 ) -> None:
     """List the nights on this computer, with their trends.
 
-    `report NIGHT` draws one again; `weeks` reports on many and compares periods; `export` writes one table; `delete NIGHT` removes a night
-    with all its files.
+    `report NIGHT` draws one again; `weeks` reports on many and compares periods; `export` writes one table; `study` copies nights under a
+    code and on other dates, without names, places and settings; `delete NIGHT` removes a night with all its files.
 
     kinegraph sleep nights weeks --compare 2026-10-19..2026-11-01 --compare 2026-11-02..2026-11-15
     """
@@ -71,6 +74,8 @@ def nights(
     weekdays = _weekdays(free)
     if action is Action.list:
         _list(path, sleeper, weekdays, as_json)
+    elif action is Action.study:
+        _study(path, sleeper, names or [], code, output)
     elif action in (Action.weeks, Action.export):
         _over_weeks(
             action,
@@ -121,6 +126,19 @@ def _of_single(action: Action, path: Path, names: list[str], yes: bool, output: 
         if yes or typer.confirm(f"Delete the night {folder.name} with all its files?"):
             archive.remove(folder)
             say(f"deleted {folder}")
+
+
+def _study(path: Path, sleeper: str, names: list[str], code: str, output: Path | None) -> None:
+    """Copy nights without what identifies the sleeper."""
+    from kinegraph.devices.reports.night import archive, study
+
+    chosen = {archive.find(path, name) for name in names}
+    of = [(f, facts) for f, facts in archive.nights(path) if facts.sleeper == sleeper and (not names or f in chosen)]
+    if not of:
+        raise KinegraphError(f"{path} holds no such nights{f' of {sleeper}' if sleeper else ''}")
+    for written in study.export(of, code, output or Path("study")):
+        say(written)
+    say("names, time zone, settings and dates are left out; times of day, weekdays and habits remain")
 
 
 def _one_page(folders: list[Path], output: Path) -> None:
