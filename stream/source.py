@@ -101,8 +101,6 @@ class Source:
     continues: ClassVar[bool] = False
     """Whether it goes on where the session's stream ends (`Feed.position`) whenever it is opened: then nothing is missing after an outage,
     and nothing is assumed to have happened meanwhile."""
-    may_appear: ClassVar[bool] = False
-    """Whether what is `missing` before a session may well come by itself (a stream of another program): it is named and waited for."""
 
     def __new__(cls, *values: Any, **named: Any) -> Self:
         check_names(cls, named)
@@ -115,6 +113,11 @@ class Source:
     def live(self) -> bool:
         """Whether what is not read is gone: then samples from before the common start are left out. A file waits instead."""
         return True
+
+    @property
+    def may_appear(self) -> bool:
+        """Whether what is `missing` before a session may well come by itself (a stream of another program): it is named and waited for."""
+        return False
 
     @property
     def refuses(self) -> frozenset[str]:

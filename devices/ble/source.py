@@ -38,7 +38,6 @@ class BleSource(Source):
 
     __slots__ = ()
     services: ClassVar[tuple[str, ...]] = ()
-    may_appear: ClassVar[bool] = True
     device: str
     scan_s: float
 
@@ -51,6 +50,10 @@ class BleSource(Source):
 
     def serve(self, reading: BleReading, feed: Feed) -> None:
         """Whatever has to be done between two notifications."""
+
+    @property
+    def may_appear(self) -> bool:
+        return True
 
     def missing(self) -> str:
         return missing(self.device, self.services)

@@ -52,7 +52,6 @@ class LslInlet(_Probing):
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "timing")
-    may_appear: ClassVar[bool] = True
     rate_tolerance: ClassVar[float] = WRONG_BY_STAMPS
 
     name: str = param("", help="the stream's name")
@@ -90,6 +89,10 @@ class LslInlet(_Probing):
         if hasattr(self, "probed"):
             object.__setattr__(made, "probed", self.probed)
         return made
+
+    @property
+    def may_appear(self) -> bool:
+        return True
 
     def missing(self) -> str:
         return missing(library(self.network), self._wanted)

@@ -39,7 +39,6 @@ class MqttSwitch(Source):
     """
 
     background: ClassVar[bool] = True
-    may_appear: ClassVar[bool] = True
 
     name: str = param(help="what it is called in topics: letters, digits, - and _")
     title: str = param("", help="its name in Home Assistant; left out: `name`")
@@ -56,6 +55,10 @@ class MqttSwitch(Source):
         Device(self.name).check()
         Topics(self.base, self.device.id, self.discovery).check()
         return {"out": StreamSpec((), SWITCHED, meta={"switch": self.name})}
+
+    @property
+    def may_appear(self) -> bool:
+        return True
 
     def missing(self) -> str:
         return self.broker.missing()

@@ -63,7 +63,6 @@ class StreamInlet(Source):
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "clock")
     continues: ClassVar[bool] = True
-    may_appear: ClassVar[bool] = True
 
     bed: str = param(help="what the other machine is called there")
     stream: str = param(help="what the stream is called at the outlet")
@@ -89,6 +88,10 @@ class StreamInlet(Source):
         check_bed(self.bed)
         self.server.check()
         return {"out": self._declared(), "clock": StreamSpec((), CLOCK, units=("ns", "ns"))}
+
+    @property
+    def may_appear(self) -> bool:
+        return True
 
     def missing(self) -> str:
         link = links.shared(self.server, "kinegraph")

@@ -65,6 +65,10 @@ class SerialSource(Source):
     def present(self) -> bool | None:
         return present(self.port)
 
+    @property
+    def may_appear(self) -> bool:
+        return self.port.startswith("ble://")
+
     def missing(self) -> str:
         return missing(self.port)
 

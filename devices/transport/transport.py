@@ -90,9 +90,9 @@ def missing(address: str) -> str:
     if address.startswith("udp://"):
         return unreachable(address)
     if address.startswith("ble://"):
-        from kinegraph.devices.transport.ble_radio import library
+        from kinegraph.devices.transport.ble_radio import missing as missing_peripheral
 
-        library()
+        return missing_peripheral(address.removeprefix("ble://").partition("/")[0])
     if present(address) is not False:
         return ""
     there = [port.device for port in connected_ports()]

@@ -115,6 +115,16 @@ def test_a_bluetooth_device_that_does_not_advertise_is_named_with_those_that_do(
     assert "--simulate" in reported["error"]
 
 
+def test_bytes_over_bluetooth_are_waited_for_and_those_of_a_port_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("bleak")
+    from kinegraph.devices.ble.simulated_radio import radio
+
+    monkeypatch.setattr(ble_radio, "PROBE_S", 0.01)
+    with radio(), capture_logs() as logs:
+        probing.probe(load_text(BOARD.replace("/dev/ttyNOTTHERE%s", "ble://scale/2a9d")))
+    assert "'scale' does not advertise" in logs[0]["error"] and "nothing else does either" in logs[0]["error"]
+
+
 def test_a_bluetooth_device_ends_the_session_where_its_library_is_not_installed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
