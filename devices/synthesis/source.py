@@ -27,6 +27,10 @@ NEARER_M = 1.0
 """A target or a path's end that has not come this much nearer after this long is not reached: seams alone move somebody by half of it."""
 
 
+EXAMPLE = Path(__file__).with_name("example.npz")
+"""Of `devices.people.performer.Performer`, hides: false, 40 s; `kinegraph motion train graph --no-mirror`."""
+
+
 @dataclass(frozen=True, slots=True)
 class Synthesis(Source):
     """Walks on a motion graph (`kinegraph motion train graph`) and gives out its poses, at the graph's rate; begins at (0, 0), facing z.
@@ -46,7 +50,9 @@ class Synthesis(Source):
 
     outputs: ClassVar[tuple[str, ...]] = ("pose", "node")
 
-    model: Path = param(help="what `kinegraph motion train graph` has made")
+    model: Path = param(
+        EXAMPLE, help="what `kinegraph motion train graph` has made; left out: 40 s of the simulated performer"
+    )
     order: tuple[tuple[str, int], ...] = param((), least=1, help="[cluster, nodes of it], one after the other")
     path: tuple[tuple[float, float], ...] = param((), help="points x, z (m) on the floor, to be walked along")
     target: tuple[float, float] | None = param(None, help="a place x, z (m) to go to")
@@ -143,6 +149,8 @@ class Synthesis(Source):
             feed.emit(Chunk(np.array([stamp]), walker.pose[None].copy(), stamp), "pose")
             if entered:
                 self._emit(feed, walker, stamp + 1)
+            elif frame % round(graph.rate_hz) == 0:
+                feed.emit(Chunk(np.empty(0, np.int64), np.empty(0, NODE), stamp), "node")  # no other stretch up to now
             if walker.trespassed > trespasses:
                 trespasses = walker.trespassed
                 feed.problem("frames in a forbidden area")

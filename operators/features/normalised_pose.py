@@ -13,6 +13,7 @@ from kinegraph.operators.inputs.directions import HELP, right_handed_up
 from kinegraph.operators.inputs.marker_columns import marker_columns
 from kinegraph.stream.chunk import Samples, StreamSpec, Times
 from kinegraph.stream.domain.axes import WAYS, Axes, Up, in_axes
+from kinegraph.stream.domain.joint_names import find_point
 from kinegraph.stream.errors import InputError, ParameterError, nearest
 from kinegraph.stream.filter import SampleWise
 from kinegraph.stream.kernel import kernel
@@ -71,6 +72,8 @@ class NormalisedPose(SampleWise[NormalisedPoseState]):
     ahead    the marker that lies in the x-y plane at positive x, e.g. the sacrum: all are rotated about the vertical y until it does
     markers  the set: marker: [marker of the input, ...], their mean. Recordings of different set-ups, each with a table of its own,
              get the same channels. Without it, the input's own markers
+
+    Joints of a human body are found in any spelling (`hip_l`, left_hip, LHIP).
 
     A marker of the set that the input lacks is NaN throughout, and its channels are listed in `meta["missing"]`; `origin` and `ahead`
     must be there. A hidden marker is NaN; where `origin` or `ahead` is hidden, so is the whole pose. While these two stand nearly above
@@ -140,12 +143,11 @@ class NormalisedPose(SampleWise[NormalisedPoseState]):
 
     def _absent(self, spec: StreamSpec, table: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
         """The markers of the set that cannot be made, each with a marker that the input lacks."""
-        there = set(point_names(spec))
-        return {
-            marker: next(name for name in names if name not in there)
-            for marker, names in table.items()
-            if not there.issuperset(names)
+        there = point_names(spec)
+        lacking = {
+            marker: [name for name in names if find_point(name, there) is None] for marker, names in table.items()
         }
+        return {marker: names[0] for marker, names in lacking.items() if names}
 
     @classmethod
     def cases(cls) -> Sequence[Case]:

@@ -5,26 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 
+from kinegraph.stream.domain.joint_names import CENTRAL, SIDED, SIDES
+from kinegraph.stream.domain.joint_names import plain as _plain
 from kinegraph.stream.errors import ParameterError, nearest
-
-SIDED: dict[str, tuple[str, ...]] = {
-    "ankle": ("ankle?", "?ankle", "?ank", "?tibia", "?foot"),
-    "knee": ("knee?", "?knee", "?kne", "?femur", "?leg"),
-    "hip": ("hip?", "?hip", "?hipjoint", "?upleg", "?thigh", "?asi+?psi", "?fwt+?bwt"),
-    "wrist": ("wrist?", "?wrist", "?wra+?wrb", "?wri", "?hand"),
-    "elbow": ("elbow?", "?elbow", "?elb", "?humerus", "?forearm"),
-    "shoulder": ("shoulder?", "?arm", "?shoulder", "?sho", "?clavicle"),
-}
-"""By joint: its names, best first; "?" stands for a side, "+" for the middle of two points. Written without capitals, spaces and signs."""
-
-CENTRAL: dict[str, tuple[str, ...]] = {
-    "root": ("hipcenter", "spinebase", "hips", "pelvis", "root", "lfwt+rfwt+lbwt+rbwt", "lasi+rasi+lpsi+rpsi"),
-    "neck": ("shouldercenter", "spineshoulder", "neck", "thorax", "c7", "upperneck"),
-    "head": ("headtop", "headend", "lfhd+rfhd+lbhd+rbhd", "head", "nose"),
-}
-"""The same for joints in the middle."""
-
-SIDES = {"_l": ("l", "left"), "_r": ("r", "right")}
 
 SETS: dict[str, tuple[str, ...]] = {
     "e15": ("ankle_l", "ankle_r", "head", "wrist_l", "wrist_r"),
@@ -115,8 +98,3 @@ def _first(joint: str, plain: Mapping[str, str]) -> tuple[str, ...] | None:
         if all(part in plain for part in parts):
             return tuple(plain[part] for part in parts)
     return None
-
-
-def _plain(name: str) -> str:
-    """A name without its subject ("Daniel:LANK"), capitals, spaces and signs."""
-    return re.sub(r"[^a-z0-9]", "", name.rpartition(":")[2].lower())

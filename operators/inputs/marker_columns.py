@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 
 from kinegraph.stream.chunk import StreamSpec
+from kinegraph.stream.domain.joint_names import find_point
 from kinegraph.stream.errors import InputError, ParameterError, nearest
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -13,7 +14,7 @@ COORDINATE = re.compile(r"(.+?)[ _.:/-]?([xyz])", re.IGNORECASE)
 
 
 def marker_columns(spec: StreamSpec, marker: str, parameter: str) -> tuple[int, int, int]:
-    """The columns of a sample laid flat that hold x, y and z of `marker`: its name, or its number from 0.
+    """The columns of a sample laid flat that hold x, y and z of `marker`: its name, another name of the same joint, or its number from 0.
 
     Takes markers (points, 3) with the markers' names as channels, or a signal (3 points,) with channels named after
     marker and coordinate: LANK_x, LANK.x, LANKx.
@@ -21,8 +22,8 @@ def marker_columns(spec: StreamSpec, marker: str, parameter: str) -> tuple[int, 
     if spec.is_event or spec.dtype.kind not in "iuf" or not _is_markers(spec):
         raise InputError("in", spec.describe(), "markers (points, 3), or a signal with x, y and z of each marker")
     named = _names(spec)
-    if marker in named:
-        return named[marker]
+    if point := find_point(marker, named):
+        return named[point]
     points = spec.shape[0] if len(spec.shape) == 2 else spec.shape[0] // 3
     if marker.isdecimal() and int(marker) < points:
         first = 3 * int(marker)

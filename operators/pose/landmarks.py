@@ -11,6 +11,7 @@ from kinegraph.operators.features.skeleton import find_joints
 from kinegraph.operators.inputs.marker_columns import marker_columns
 from kinegraph.stream.chunk import Samples, StreamSpec, Times
 from kinegraph.stream.domain.humanoid import BONES
+from kinegraph.stream.domain.joint_names import FARTHER
 from kinegraph.stream.errors import InputError, ParameterError
 
 PLACES: dict[str, tuple[str, tuple[float, float, float]]] = {
@@ -35,14 +36,6 @@ BONE_OF: Times = np.array([BONES.index(bone) for bone, _ in PLACES.values()])
 FROM_BONE: Samples = np.array([offset for _, offset in PLACES.values()])
 USUAL = NAMES[:13]
 """What a model is trained for unless it is asked for others: head, shoulders, elbows, wrists, hips, knees, ankles."""
-
-_MORE = {
-    "toe": ("?toe", "toe?", "?footindex", "?bigtoe", "?foot", "foot?", "?mt5"),
-    "hand": ("?index", "?handtip", "handtip?", "?fin", "?fingers", "hand?"),
-    "ear": ("?ear", "ear?"),
-    "nose": ("nose",),
-}
-"""Names of what `operators.features.skeleton` does not look for, without capitals, spaces and signs; "?" is a side."""
 
 
 def find_landmarks(spec: StreamSpec, given: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, tuple[str, ...]], Times]:
@@ -79,7 +72,7 @@ def find_landmarks(spec: StreamSpec, given: Mapping[str, tuple[str, ...]]) -> tu
 
 def _find(landmark: str, names: tuple[str, ...], found: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
     joint, _, side = landmark.partition("_")
-    if joint not in _MORE:
+    if joint not in FARTHER:
         try:
             return find_joints(names, (landmark,), {})[landmark]
         except ParameterError:
@@ -87,5 +80,5 @@ def _find(landmark: str, names: tuple[str, ...], found: Mapping[str, tuple[str, 
     used = {part for parts in found.values() for part in parts}
     plain = {re.sub(r"[^a-z0-9]", "", name.rpartition(":")[2].lower()): name for name in names}
     sides = {"l": ("l", "left"), "r": ("r", "right")}.get(side, ("",))
-    choices = (choice.replace("?", s) for choice in _MORE[joint] for s in sides)
+    choices = (choice.replace("?", s) for choice in FARTHER[joint] for s in sides)
     return next(((plain[c],) for c in choices if c in plain and plain[c] not in used), ())

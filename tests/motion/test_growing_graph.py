@@ -103,7 +103,7 @@ def test_no_window_reaches_across_a_gap_or_holds_a_missing_joint() -> None:
 
 def test_what_cannot_be_grown_is_refused() -> None:
     with pytest.raises(KinegraphError, match="a joint of the input"):
-        GrowingGraph().open({"in": SPEC, "primitive": EVENTS})
+        GrowingGraph(left="tail").open({"in": SPEC, "primitive": EVENTS})
     with pytest.raises(KinegraphError, match="events with the fields"):
         GrowingGraph(**HUMAN).open({"in": SPEC, "primitive": SPEC})  # type: ignore[arg-type]
     with pytest.raises(KinegraphError, match="named joints"):

@@ -1,4 +1,4 @@
-"""configs/dualsense.yaml: a game controller's inertial unit, smoothed; its USB reports are declared in the graph, without a driver.
+"""configs/dualsense.yaml: repetitions with a game controller; its USB reports are declared in the graph, without a driver.
 
 Recording: no recording of the controller may be kept. A phone's six axes in a walker's pocket (GeoTec; CC BY 4.0) stand in for it, in
 the controller's units and at its 250 Hz. How reports are decoded is tested in tests/devices/test_usb.py.
@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfilt
 
 import kinegraph as kg
 from kinegraph.stream.chunk import NS
-from tests.replay.replaying import evenly, pocket_walks, signal
+from tests.replay.replaying import TURNING, WALKING, evenly, pocket_walks, signal
 
 RATE = 250.0
 SECONDS, PHONE = evenly(pocket_walks("s01")[0], pocket_walks("s01")[1], RATE)
@@ -21,9 +21,22 @@ REPORTS = np.hstack([np.degrees(PHONE[:, 3:]), PHONE[:, :3] / 9.80665])
 
 
 @pytest.fixture(scope="module")
-def smooth() -> kg.Series:
+def replayed() -> kg.Results:
     imu = signal(REPORTS, RATE, ("gx", "gy", "gz", "ax", "ay", "az"), ("deg/s",) * 3 + ("g",) * 3)
-    return kg.load("dualsense").run({"controller.imu": imu})["smooth"]
+    return kg.load("dualsense").run({"controller.imu": imu}, keep=["smooth", "segment.primitive"])
+
+
+@pytest.fixture(scope="module")
+def smooth(replayed: kg.Results) -> kg.Series:
+    return replayed["smooth"]
+
+
+def test_repetitions_lie_where_the_annotators_saw_walking(replayed: kg.Results) -> None:
+    seconds, _, labels = pocket_walks("s01")
+    rows = replayed["segment.primitive"].data
+    rows = rows[rows["repetition"] > 0]
+    middle = np.searchsorted(seconds, (rows["onset"] + rows["end"]) / 2 / NS).clip(max=len(labels) - 1)
+    assert len(rows) > 10 and np.isin(labels[middle], (WALKING, TURNING)).mean() > 0.85
 
 
 def test_values_are_scipys(smooth: kg.Series) -> None:

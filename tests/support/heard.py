@@ -28,7 +28,7 @@ class Heard:
         return self.words.pop(len(self.poses), None)
 
     def emit(self, chunk: Chunk, output: str) -> None:
-        (self.poses if output == "pose" else self.nodes).append(chunk.data[0])
+        (self.poses if output == "pose" else self.nodes).extend(chunk.data)
 
     def problem(self, kind: str, count: int = 1) -> None:
         self.reports.append(kind)

@@ -14,6 +14,7 @@ from kinegraph.operators.maps.motion_graph.growth import ROOM, WAITING, WINDOWS,
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk, Specs, StreamSpec, Times
 from kinegraph.stream.data.require import regular, samples_in
 from kinegraph.stream.domain.axes import BODY
+from kinegraph.stream.domain.joint_names import find_point
 from kinegraph.stream.errors import InputError, ParameterError, nearest
 from kinegraph.stream.operator import Case, Emitted, Input, Operator, grid
 from kinegraph.stream.params import param
@@ -106,17 +107,18 @@ class GrowingGraph(_Turning):
             raise InputError("in", spec.describe(), "named joints (n, 3) in m, cm or mm")
         if not set(events.dtype.names or ()) >= NEEDED:
             raise InputError("primitive", events.describe(), f"events with the fields {', '.join(sorted(NEEDED))}")
+        called = {}
         for key in ("left", "right", "origin"):
             name = getattr(self, key)
-            if (name or key != "origin") and name not in spec.channels:
+            called[key] = find_point(name, spec.channels) if name else None
+            if (name or key != "origin") and called[key] is None:
                 raise ParameterError(key, name, f"a joint of the input; {nearest(name, spec.channels)}")
+        origin, *both = (spec.channels.index(called[key]) if called[key] else -1 for key in ("origin", "left", "right"))
         rate_hz = regular(spec)
         joints = len(spec.channels) + (not self.origin)
-        front = [spec.channels.index(self.origin)] if self.origin else []
+        front = [origin] if self.origin else []
         order = np.array(front + [k for k in range(len(spec.channels)) if k not in front], np.int64)
-        sides = [
-            order.tolist().index(spec.channels.index(name)) + (not self.origin) for name in (self.left, self.right)
-        ]
+        sides = [order.tolist().index(place) + (not self.origin) for place in both]
         blend = max(2, round((self.blend_s * rate_hz - 1) / 2))
         growth = Growth.empty(joints, samples_in("memory_s", self.memory_s, rate_hz), self.max_nodes, blend)
         object.__setattr__(self, "turn", turned_to(BODY, spec))
