@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from math import isfinite
@@ -15,6 +14,7 @@ from kinegraph.devices.people import bedroom
 from kinegraph.devices.people.bedroom import Bedroom, Extras
 from kinegraph.devices.people.night import EPOCH_S, NightPlan, made_up, plan
 from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec, empty
+from kinegraph.stream.data.tables import read_records
 from kinegraph.stream.errors import DeviceError, ParameterError
 from kinegraph.stream.params import param
 from kinegraph.stream.source import Feed, Source
@@ -200,13 +200,8 @@ class _Night:
 
 def read_stages(path: Path) -> tuple[str, ...]:
     """The stages of a CSV with the columns onset (s) and stage, one per 30 s. Raises DeviceError, which names the line."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise DeviceError(f"{path} cannot be read: {error}") from None
     found: list[tuple[float, str]] = []
-    for line, row in enumerate(rows, 2):
+    for line, row in read_records(path, DeviceError):
         try:
             onset, stage = float(row["onset"]), STAGES[row["stage"].strip().lower()]
         except (KeyError, ValueError, AttributeError):

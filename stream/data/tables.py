@@ -159,13 +159,19 @@ def read_rows(path: Path) -> Array | None:
     return made
 
 
-def read_records(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """The rows of a CSV file with a header line: line number, and cells by column name. Raises KinegraphError."""
+def read_records(path: Path, wrong: type[KinegraphError] = KinegraphError) -> list[tuple[int, dict[str, str]]]:
+    """The rows of a CSV file with a header line: line number, and cells by column name. Raises `wrong`."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             return list(enumerate(csv.DictReader(file), 2))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise KinegraphError(f"{path}: cannot be read: {error}") from None
+        raise wrong(f"{path}: cannot be read: {error}") from None
+
+
+def read_cells(path: Path, kind: str) -> list[tuple[int, list[str]]]:
+    """Line number and cells of each row as text; empty lines, and those that begin with #, are left out. Raises RecordingError."""
+    lines = enumerate(read_text(path, kind).splitlines(), 1)
+    return [(number, next(csv.reader([line]))) for number, line in lines if line.strip() and not line.startswith("#")]
 
 
 def read_text(path: Path, kind: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from kinegraph.operators.steps.commands.validation import Labelled
 from kinegraph.operators.steps.steps import STEP, Steps
 from kinegraph.stream.batch.sessions import open_session, recording_name
 from kinegraph.stream.chunk import FOREVER, Array, Chunk, StreamSpec
+from kinegraph.stream.data.tables import read_records
 from kinegraph.stream.errors import InputError, KinegraphError, nearest
 
 GROUPS = ("low", "middle", "high")
@@ -29,13 +29,8 @@ class Walk:
 
 def read_labels(path: Path, target: str) -> dict[str, tuple[str, str]]:
     """Of each recording in a CSV table (columns recording, person, and the target): person and class. Raises KinegraphError."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise KinegraphError(f"{path}: cannot be read as a table ({error})") from None
     found = dict[str, tuple[str, str]]()
-    for number, row in enumerate(rows, 2):
+    for number, row in read_records(path):
         for column in ("recording", "person", target):
             if not (row.get(column) or "").strip():
                 raise KinegraphError(
