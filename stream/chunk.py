@@ -23,7 +23,7 @@ FOREVER = np.iinfo(np.int64).max
 """The `until` of a stream that has ended."""
 NEVER = np.iinfo(np.int64).min
 """The `until` of a stream of which nothing is known yet."""
-MOST_AXES = 8
+MAX_AXES = 8
 MIN_RATE_HZ, MAX_RATE_HZ = 1e-9, 1e9
 """Slower ones have a period of decades, faster ones one of less than a nanosecond."""
 
@@ -138,7 +138,7 @@ class StreamSpec:
         if not isinstance(descr, str):
             descr = [tuple(tuple(part) if isinstance(part, list) else part for part in f) for f in descr]
         dtype, shape = np.lib.format.descr_to_dtype(descr), tuple(record["shape"])
-        if dtype.hasobject or not all(isinstance(n, int) and n >= 0 for n in shape) or len(shape) > MOST_AXES:
+        if dtype.hasobject or not all(isinstance(n, int) and n >= 0 for n in shape) or len(shape) > MAX_AXES:
             raise ValueError(f"samples of shape {shape} and type {dtype} are impossible")
         return StreamSpec(
             shape=shape,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _NOT_THE_USERS = (sysconfig.get_paths()["stdlib"], str(Path(__file__).resolve().parent), "<")
 
 
-MOST = 300
+MAX = 300
 """Letters of a message that are shown; numba's go on for pages."""
 
 
@@ -133,7 +133,7 @@ def explain(error: BaseException) -> str:
         if asked_to_end(mute):
             raise
         text = "it cannot say what it is"
-    return f"{type(error).__name__}: {text if len(text) <= MOST else text[:MOST] + ' ...'}{where}"
+    return f"{type(error).__name__}: {text if len(text) <= MAX else text[:MAX] + ' ...'}{where}"
 
 
 @contextmanager

@@ -23,7 +23,7 @@ MODES = {
 }
 """pyk4a's names of the sizes of depth frames."""
 RATES = {5: "FPS_5", 15: "FPS_15", 30: "FPS_30"}
-MOST_INFRARED = 1000
+MAX_INFRARED = 1000
 """What is white; brighter is as white."""
 
 
@@ -135,5 +135,5 @@ class KinectCamera:
         if self._of.image:
             if capture.ir is None:
                 return None
-            image = (np.minimum(capture.ir, MOST_INFRARED) * (255.0 / MOST_INFRARED)).astype(np.uint8)
+            image = (np.minimum(capture.ir, MAX_INFRARED) * (255.0 / MAX_INFRARED)).astype(np.uint8)
         return CameraFrame(-1, int(capture.depth_timestamp_usec) * 1000, np.array(capture.depth, np.uint16), image)

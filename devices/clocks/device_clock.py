@@ -23,7 +23,7 @@ WINDOW = 120
 """Buckets (seconds) that the line rests on."""
 STEADY = 10
 """Below this many buckets the drift is taken as zero."""
-MOST_DRIFT = 1e-3
+MAX_DRIFT = 1e-3
 """No quartz is worse; a steeper line is an artefact of the delays, unless it is clear."""
 STEEPEST, CLEAR = 0.03, 20
 """A device that is slow by more (an Arduino's resonator, a rate that is not quite the stated one) is believed up to this much, where over
@@ -223,7 +223,7 @@ class DeviceClock:
         now = int(self._x[self._n - 1]) if self._n else 0
         spread = self._spread
         if 0 < self._n < STEADY:
-            spread = max(spread, self._falls_behind()) + MOST_DRIFT * (now - int(self._x[0]) + BUCKET_NS)
+            spread = max(spread, self._falls_behind()) + MAX_DRIFT * (now - int(self._x[0]) + BUCKET_NS)
         return ClockState(
             offset_s=self._line(now) / NS,
             drift_ppm=self._slope * 1e6,
@@ -252,7 +252,7 @@ class DeviceClock:
     def _fit(self) -> None:
         """The lower hull's edge over the middle of what is known."""
         x, y = self._x, self._y
-        at = line_below(x, y, self._n, STEADY, MOST_DRIFT, STEEPEST, float(CLEAR), *self._memory)
+        at = line_below(x, y, self._n, STEADY, MAX_DRIFT, STEEPEST, float(CLEAR), *self._memory)
         self._zero, self._at = int(y[0]), int(x[at])
         self._slope, self._height, self._spread = self._memory[2].tolist()
 

@@ -12,7 +12,7 @@ from typing import Any
 from kinegraph.stream.chunk import StreamSpec
 
 VOLTAGES = ("V", "mV", "uV")
-LEAST_EMG_HZ = 200.0
+MIN_EMG_HZ = 200.0
 SIDES = ("left", "right")
 NAMED = [
     (pattern.format(left), pattern.format(right))
@@ -82,7 +82,7 @@ def _identifier(text: str) -> str:
 
 def _is_emg(spec: StreamSpec) -> bool:
     """Whether some of a signal's channels are voltages, sampled as EMG must be."""
-    return spec.is_signal and (spec.rate_hz or 0.0) >= LEAST_EMG_HZ and any(unit in VOLTAGES for unit in spec.units)
+    return spec.is_signal and (spec.rate_hz or 0.0) >= MIN_EMG_HZ and any(unit in VOLTAGES for unit in spec.units)
 
 
 def _emg(

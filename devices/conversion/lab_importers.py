@@ -96,13 +96,13 @@ def _untimed(file: Path, name: str, stream: str) -> str:
     return f"{file.name}: {name} has neither times nor a rate; give --rate {stream}=HZ; times below count samples"
 
 
-LEAST_SAMPLES = 16
+MIN_SAMPLES = 16
 """A shorter array is taken for something else than a signal."""
 
 
 def _by_default(file: Path, arrays: dict[str, Any], options: ImportOptions) -> None:
     """Every matrix of numbers with more than a few rows; a vector of that length called time, or the file's rate, says when."""
-    long = {name: a for name, a in arrays.items() if a.dtype.kind in "iuf" and a.ndim <= 3 and len(a) >= LEAST_SAMPLES}
+    long = {name: a for name, a in arrays.items() if a.dtype.kind in "iuf" and a.ndim <= 3 and len(a) >= MIN_SAMPLES}
     times = {
         name
         for name, a in long.items()
@@ -129,7 +129,7 @@ def _by_default(file: Path, arrays: dict[str, Any], options: ImportOptions) -> N
     if not options.streams:
         listed = ", ".join(f"{name} {a.shape}" for name, a in arrays.items())
         raise RecordingError(
-            f"{file}: there is no matrix of {LEAST_SAMPLES} samples or more in it; it holds {listed or 'nothing'}"
+            f"{file}: there is no matrix of {MIN_SAMPLES} samples or more in it; it holds {listed or 'nothing'}"
         )
 
 

@@ -14,7 +14,7 @@ from kinegraph.stream.domain.skeleton import JointTree
 from kinegraph.stream.errors import InputError, RecordingError
 from kinegraph.stream.system.atomic_file import complete, private_folder
 
-MOST_NUMBERS = 400_000_000
+MAX_NUMBERS = 400_000_000
 """A mesh's motion is held in memory; 3 GB are too much for most."""
 
 
@@ -88,7 +88,7 @@ def _glb(wanted: Export) -> list[Written]:
 
     name = _one(wanted, "poses or vertices")
     stream = wanted.recording.streams[name]
-    if stream.samples * int(np.prod(stream.spec.shape)) > MOST_NUMBERS:
+    if stream.samples * int(np.prod(stream.spec.shape)) > MAX_NUMBERS:
         raise RecordingError(f"stream {name!r} has {stream.samples} samples: too many for one GLB file; cut it first")
     times, data, _ = whole(wanted, name)
     seconds = (times - times[0]) / NS

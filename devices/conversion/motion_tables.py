@@ -16,8 +16,8 @@ from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.system.atomic_file import complete, private_folder
 from kinegraph.stream.system.extras import optional
 
-MOST_FRAMES = 65_535
-MOST_EVENTS = 255
+MAX_FRAMES = 65_535
+MAX_EVENTS = 255
 NEAR = 1e-6
 
 
@@ -37,8 +37,8 @@ def _c3d(wanted: Export) -> list[Written]:
     made = ezc3d.c3d()
     made["parameters"]["POINT"]["RATE"]["value"] = [frame_rate]
     frames = points.shape[0]
-    if frames > MOST_FRAMES:
-        raise RecordingError(f"{frames} frames: a C3D file counts {MOST_FRAMES}; export parts of the recording")
+    if frames > MAX_FRAMES:
+        raise RecordingError(f"{frames} frames: a C3D file counts {MAX_FRAMES}; export parts of the recording")
     labels = markers[0].labels if markers else []
     made["parameters"]["POINT"]["LABELS"]["value"] = labels
     made["parameters"]["POINT"]["UNITS"]["value"] = [markers[0].spec.units[0] or "mm"] if markers else ["mm"]
@@ -63,7 +63,7 @@ def _c3d(wanted: Export) -> list[Written]:
 def _no_points(signals: list[GriddedStream]) -> tuple[float, int, Samples]:
     """Frames for signals alone: as many samples to a frame as it takes to count the frames."""
     finest = max(signals, key=lambda grid: grid.rate_hz)
-    per = -(-len(finest.data) // MOST_FRAMES)
+    per = -(-len(finest.data) // MAX_FRAMES)
     return finest.rate_hz / per, finest.start, np.zeros((-(-len(finest.data) // per), 0, 3))
 
 
@@ -96,7 +96,7 @@ def _analogs(made: object, signals: list[GriddedStream], frame_rate: float, star
 
 
 def _c3d_events(made: object, streams: list[Gathered], start: int) -> None:
-    for onset, _, label, side in events_of(streams)[:MOST_EVENTS]:
+    for onset, _, label, side in events_of(streams)[:MAX_EVENTS]:
         seconds = (onset - start) / NS
         plain = re.sub(rf"(?i)^{side}\s+", "", label) if side else label
         time = [int(seconds // 60), seconds % 60]

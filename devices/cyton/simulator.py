@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 ACCEL_EVERY = 10
 OPEN_OHM = 1e12
 """An electrode that is not there."""
-MOST_BEHIND = 2500
+MAX_BEHIND = 2500
 """Packets that are made at once at most; what is older by then is left out and lost."""
 
 
@@ -100,7 +100,7 @@ class CytonModel:
         if self._began is None:
             self._began, self._ahead = seconds, WALK.samples(PACKETS_HZ)
         due = int((seconds - self._began) * PACKETS_HZ)
-        first = max(self._said, due - MOST_BEHIND)
+        first = max(self._said, due - MAX_BEHIND)
         self._number += first - self._said
         packets = []
         for _ in range(first, due):

@@ -12,8 +12,8 @@ import numpy as np
 
 from kinegraph.devices.formats.findings import Claims, Findings
 from kinegraph.devices.formats.timing import (
-    MOST_HZ,
-    MOST_NS,
+    MAX_HZ,
+    MAX_NS,
     UNITS,
     check_order,
     grid_of,
@@ -267,7 +267,7 @@ def _times(options: ImportOptions, name: str, named: str, column: FileColumn, ra
             raise RecordingError(f"--time-unit {name}=samples: give the rate of these samples, --rate {name}=HZ")
         if (
             column.data.dtype.kind not in "iuf"
-            or not (np.abs(column.data.astype(np.float64)) <= rate * (MOST_NS / NS)).all()
+            or not (np.abs(column.data.astype(np.float64)) <= rate * (MAX_NS / NS)).all()
         ):
             raise RecordingError(f"--time-unit {name}=samples: {named!r} does not hold numbers of samples")
         return grid_of(rate, column.data, 0)
@@ -293,7 +293,7 @@ def _rate(shelf: ColumnTable, options: ImportOptions, name: str) -> float | None
     if given in shelf.columns and shelf.columns[given].data.size == 1:
         given = str(shelf.columns[given].data.ravel()[0])
     rate = _number(given, f"--rate {name}")
-    if not 1e-6 <= rate <= MOST_HZ:
+    if not 1e-6 <= rate <= MAX_HZ:
         raise RecordingError(f"--rate {name}: {given} must be a positive number of Hz, from 1e-6 to 1e9")
     return rate
 

@@ -14,9 +14,9 @@ SPELT = {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds"
 """Units of time as other programs write them into a table's header."""
 TOLERANCE = 0.3
 """How far a stamp may be from the regular grid, in periods, for the grid's own stamps to be put in its place."""
-MOST_NS = 1 << 62
+MAX_NS = 1 << 62
 """Times farther from 1970 than this (146 years) are refused: they cannot be real, and further on int64 overflows."""
-MOST_HZ = 1e9
+MAX_HZ = 1e9
 """No stamp is finer than a nanosecond."""
 UNEVEN = 0.25
 """Where the usual step is so far from the declared period, in periods, the rate is another one."""
@@ -45,7 +45,7 @@ def to_ns(values: Array, unit: str) -> Times:
     """Times in `unit` as int64 ns, exactly where the values are whole numbers. Raises ValueError for NaN, infinity, and other centuries."""
     if values.dtype.kind not in "iuf":
         raise ValueError("row 0 holds no time")
-    wrong = ~(np.abs(values.astype(np.float64)) <= MOST_NS / UNITS[unit])
+    wrong = ~(np.abs(values.astype(np.float64)) <= MAX_NS / UNITS[unit])
     if wrong.any():
         raise ValueError(f"row {int(np.flatnonzero(wrong)[0])} holds no time")
     if values.dtype.kind in "iu":
@@ -155,7 +155,7 @@ def lost_by_counter(counter: Array, what: str, *, repeated: bool = False) -> tup
     doubtful about it, in words. Raises RecordingError where the counter runs backwards, or repeats more often than in 1 % of the rows
     (`repeated`: than in all).
     """
-    if counter.dtype.kind not in "iuf" or not (np.abs(counter.astype(np.float64)) < MOST_NS).all():
+    if counter.dtype.kind not in "iuf" or not (np.abs(counter.astype(np.float64)) < MAX_NS).all():
         raise RecordingError(f"{what} 0: the counter holds something else than whole numbers")
     values = counter.astype(np.int64)
     again = np.flatnonzero(np.diff(values) == 0) + 1

@@ -14,11 +14,11 @@ from kinegraph.stream.data.series import Series
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.text.safe_text import say
 
-MOST_OFF = 0.5
+MAX_OFF = 0.5
 """A stamp may be this many periods away from its place on a regular grid."""
-MOST_STEP = 3.0
+MAX_STEP = 3.0
 """Between samples that are further apart, in periods, nothing is interpolated."""
-MOST_SAMPLES = 1 << 30
+MAX_SAMPLES = 1 << 30
 """A stream with gaps so long that its grid would have more samples is refused."""
 
 
@@ -50,7 +50,7 @@ class Gathered:
         index = self.index
         away = (self.time - self.time[0]) - index * (NS / rate)
         middle, off = (away.max() + away.min()) / 2, (away.max() - away.min()) / 2 * rate / NS
-        if off > MOST_OFF:
+        if off > MAX_OFF:
             return None
         return GriddedStream(self, rate, int(self.time[0]) + round(middle), self._at(index), off)
 
@@ -61,7 +61,7 @@ class Gathered:
         rate, seconds = self.nominal_hz, (self.time - self.time[0]) / NS
         wanted = np.arange(self._within(int(seconds[-1] * rate) + 1)) / rate
         after = np.clip(np.searchsorted(seconds, wanted), 1, len(seconds) - 1) if len(seconds) > 1 else 0 * wanted
-        hole = np.diff(seconds, prepend=seconds[:1]) * rate > MOST_STEP
+        hole = np.diff(seconds, prepend=seconds[:1]) * rate > MAX_STEP
         if self.lost is not None:
             hole |= self.lost != 0
         data = self.data.reshape(len(seconds), -1)
@@ -115,7 +115,7 @@ class Gathered:
         return out
 
     def _within(self, count: int) -> int:
-        if count > MOST_SAMPLES:
+        if count > MAX_SAMPLES:
             raise RecordingError(f"stream {self.name!r}: its gaps are so long that it would have {count} samples")
         return count
 
@@ -163,7 +163,7 @@ def on_grids(streams: Sequence[Gathered], *, resample: bool = False) -> list[Gri
                 grid.report()
             return fitting
     worst = max(streams, key=lambda one: one.off)
-    if worst.off <= MOST_OFF:
+    if worst.off <= MAX_OFF:
         rates = ", ".join(f"{one.name} {one.fitted_hz:.7g} Hz" for one in streams)
         raise RecordingError(
             f"one file has one clock, these streams have several ({rates}): choose with --stream, or --resample"

@@ -13,13 +13,13 @@ LEAST = 5
 """This many different frames must have come; fewer may fit by chance."""
 SHARE = 0.7
 """This share of the candidates must fit; the others may be sync bytes within a frame, or broken."""
-MOST = 40
+MAX = 40
 """Candidates that are looked at."""
 
 
 def fitting(candidates: Sequence[bytes], layout: FrameLayout) -> str:
     """What to declare instead, for frames as long as `layout` has them; "" if nothing of the same size fits."""
-    frames = list(dict.fromkeys(candidates))[-MOST:]
+    frames = list(dict.fromkeys(candidates))[-MAX:]
     size = layout.checksum.size
     if len(frames) < LEAST or not size:
         return ""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kinegraph.devices.frames.checksums import CHECKSUMS
 from kinegraph.devices.frames.packet_decoder import Framing, uncobs, unslip
 
-MOST = 512
+MAX = 512
 """Bytes of the longest frame that is looked for."""
 LEAST = 12
 """This many frames must have come."""
@@ -80,7 +80,7 @@ def _aligned(data: bytes) -> tuple[bytes, list[bytes]] | None:
         for gram, _ in grams.most_common(COMMON):
             places = _places(data, gram)
             steps = Counter(np.diff(places).tolist())
-            steps = Counter({step: n for step, n in steps.items() if length < step <= MOST})
+            steps = Counter({step: n for step, n in steps.items() if length < step <= MAX})
             if not steps:
                 continue
             step, n = steps.most_common(1)[0]

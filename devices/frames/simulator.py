@@ -38,7 +38,7 @@ PERSON = 101
 """A walker whom the shipped model of walking manners was not trained on, as of `devices.mti.back_walker`."""
 STRIDES_HZ = 0.95
 OTHERWISE_HZ = 50.0
-MOST_BEHIND = 5000
+MAX_BEHIND = 5000
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class BinaryModel:
 
     def say(self, seconds: float) -> list[bytes]:
         due = int(seconds * self._rate)
-        first = max(self._said, due - MOST_BEHIND)
+        first = max(self._said, due - MAX_BEHIND)
         packets = [self.frame(kind, i) for i in range(first, due) for kind in range(len(self._layouts))]
         self._said = max(self._said, due)
         return packets

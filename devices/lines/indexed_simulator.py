@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from kinegraph.devices.lines.simulator import MOST_BEHIND, PER_S
+from kinegraph.devices.lines.simulator import MAX_BEHIND, PER_S
 from kinegraph.devices.simulation.serve import Simulator
 from kinegraph.stream.params import param
 
@@ -39,7 +39,7 @@ class IndexedModel:
 
     def say(self, seconds: float) -> list[bytes]:
         due = int(seconds * self._of.rate_hz)
-        sent = [self._line(i) for i in range(max(self._said, due - MOST_BEHIND), due)]
+        sent = [self._line(i) for i in range(max(self._said, due - MAX_BEHIND), due)]
         self._said = max(self._said, due)
         return sent
 

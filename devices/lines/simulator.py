@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PER_S = {"ns": 1_000_000_000, "us": 1_000_000, "ms": 1000, "s": 1}
 COUNTS_PER_UV = 0.5
 MIDDLE = 512
-MOST_BEHIND = 5000
+MAX_BEHIND = 5000
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class LinesModel:
     def say(self, seconds: float) -> list[bytes]:
         due = int(seconds * self._of.rate_hz)
         sent = []
-        for i in range(max(self._said, due - MOST_BEHIND), due):
+        for i in range(max(self._said, due - MAX_BEHIND), due):
             if self._of.header and (i - self._zero) % max(1, round(self._of.rate_hz)) == 0:
                 sent.append((self._of.delimiter.join(self._of.columns) + "\r\n").encode())
             sent.append(self._line(i))

@@ -23,7 +23,7 @@ SLICE_S = 0.2
 """How long one call into the library may last: a source must stop within two seconds."""
 BUFFER_S = 60
 """What is kept for us while we are late; then the oldest is lost."""
-MOST = 4096
+MAX = 4096
 """Samples of one read."""
 SAME_CLOCK_S = 1e-3
 """Two clocks on hosts of one name that are so close are one clock, and what was measured is the measurement's error."""
@@ -39,7 +39,7 @@ class Connection:
     def __init__(self, lsl: Any, inlet: Any, described: Described) -> None:
         self.lsl, self._inlet, self.described = lsl, inlet, described
         texts = described.format == TEXT
-        self._room = None if texts else np.empty((MOST, described.count), inlet.np_dtype)
+        self._room = None if texts else np.empty((MAX, described.count), inlet.np_dtype)
         self._at_home = described.host == socket.gethostname()
 
     def pull(self) -> tuple[Array, Samples]:
@@ -48,7 +48,7 @@ class Connection:
         Waits for the first, but not for long: n may be 0. Raises DeviceError when the stream is gone for good.
         """
         try:
-            data, stamps = self._inlet.pull_chunk(SLICE_S, MOST, dest_obj=self._room, min_samples=1, as_numpy=True)
+            data, stamps = self._inlet.pull_chunk(SLICE_S, MAX, dest_obj=self._room, min_samples=1, as_numpy=True)
         except self.lsl.util.LostError:
             raise DeviceError("the stream is gone, and has no source_id by which LSL could find it again") from None
         return data, stamps

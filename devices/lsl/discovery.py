@@ -14,7 +14,7 @@ from kinegraph.stream.errors import DeviceError
 
 ANSWER_S = 1.0
 """How long a stream may take to describe itself."""
-MOST_LABELS = 64
+MAX_LABELS = 64
 """A stream with more channels is declared by their number."""
 
 
@@ -39,7 +39,7 @@ def yaml_of(d: Described) -> str:
         lines.append("markers: true")
         lines += [f"channels: {d.count}"] if d.count > 1 else []
         return "\n".join(lines)
-    lines.append(f"channels: {json.dumps(list(d.labels)) if 0 < len(d.labels) <= MOST_LABELS else d.count}")
+    lines.append(f"channels: {json.dumps(list(d.labels)) if 0 < len(d.labels) <= MAX_LABELS else d.count}")
     if d.rate_hz:
         lines.append(f"rate_hz: {d.rate_hz:.12g}")
     if any(d.units):

@@ -21,7 +21,7 @@ from kinegraph.stream.errors import DeviceError, ParameterError
 from kinegraph.stream.params import param
 from kinegraph.stream.source import Feed, Source
 
-MEASURED_S, MOST_MEASURED_S, ENOUGH = 3.0, 10.0, 50
+MEASURED_S, MAX_MEASURED_S, ENOUGH = 3.0, 10.0, 50
 """A rate is measured over this time, or at most this, and by this number of samples."""
 
 
@@ -172,7 +172,7 @@ def _measured(inlet: Any, claimed_hz: float) -> float:
     """The rate at which samples come, by their stamps over a few seconds; the claimed one where that holds."""
     stamps: list[float] = []
     began = time.monotonic()
-    while time.monotonic() < began + MOST_MEASURED_S:
+    while time.monotonic() < began + MAX_MEASURED_S:
         stamps += inlet.pull_chunk(0.2)[1]
         if len(stamps) > ENOUGH and stamps[-1] - stamps[0] > MEASURED_S:
             break

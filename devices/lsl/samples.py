@@ -12,7 +12,7 @@ import numpy as np
 
 from kinegraph.devices.formats.xdf.writer import FORMATS, UNITS, type_of
 from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec
-from kinegraph.stream.data.columns import MOST, column_names
+from kinegraph.stream.data.columns import MAX, column_names
 from kinegraph.stream.errors import InputError, ParameterError, nearest
 
 CHANNELS_SAID = 512
@@ -107,9 +107,9 @@ def form_of(spec: StreamSpec, events: str, fields: tuple[str, ...]) -> Form:
 
 def _numbers(spec: StreamSpec) -> NumberRows:
     size = int(np.prod(spec.shape, dtype=np.int64))
-    if not 0 < size <= MOST:
+    if not 0 < size <= MAX:
         raise InputError(
-            "in", f"{spec.describe()}: {size} numbers a sample", f"a stream of 1 to {MOST} numbers a sample"
+            "in", f"{spec.describe()}: {size} numbers a sample", f"a stream of 1 to {MAX} numbers a sample"
         )
     dtype = type_of(spec)
     if dtype is None:

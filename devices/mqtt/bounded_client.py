@@ -7,7 +7,7 @@ from typing import Any
 from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode
 
-MOST_BYTES = 256 << 10
+MAX_BYTES = 256 << 10
 """A longer message is not for us: it is read, confirmed and dropped."""
 HEAD_BYTES = 70_000
 """What is kept of it: its topic and its number stand there."""
@@ -33,7 +33,7 @@ class BoundedClient(Client):
         packet = self._in_packet
         if (
             packet["have_remaining"]
-            and packet["remaining_length"] > MOST_BYTES
+            and packet["remaining_length"] > MAX_BYTES
             and not isinstance(packet["packet"], _Head)
         ):
             packet["packet"] = _Head(packet["packet"])

@@ -23,7 +23,7 @@ from kinegraph.stream.params import param
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 KEEPALIVE_S = 30
-MOST_NEWS = 1000
+MAX_NEWS = 1000
 """This many messages may wait to be looked at; beyond, they are dropped and counted."""
 PROBE_S = 1.5
 """So long a broker may take to accept a connection, before a session."""
@@ -249,7 +249,7 @@ class BrokerConnection:
 
     def _take(self, message: MQTTMessage) -> None:
         """A message, in the library's thread: kept for ours where there is room for it."""
-        if self._news.qsize() < MOST_NEWS:
+        if self._news.qsize() < MAX_NEWS:
             self._news.put(lambda: self._message(message))
             return
         self.dropped += 1

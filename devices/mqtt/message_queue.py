@@ -18,7 +18,7 @@ import structlog
 
 from kinegraph.stream.system.atomic_file import write_complete
 
-MOST_MESSAGES = 6000
+MAX_MESSAGES = 6000
 """Two days of epochs. Beyond, the oldest are dropped and counted."""
 IN_FLIGHT = 16
 TOGETHER_S = 1.0
@@ -87,7 +87,7 @@ class MessageQueue:
             if key <= self.newest(topic):
                 return
             self._posted[topic] = key
-            if len(self._messages) >= MOST_MESSAGES:
+            if len(self._messages) >= MAX_MESSAGES:
                 self._messages.popleft()
                 self.dropped += 1
                 if self.dropped == 1:

@@ -21,9 +21,9 @@ from kinegraph.stream.source import Feed, Source
 log = structlog.get_logger(__name__)
 
 SWITCHED = np.dtype([("on", "?")])
-MOST_SHOWN = 200
+MAX_SHOWN = 200
 """Characters of a message that is neither ON nor OFF, of which the log tells."""
-MOST_TOLD = 20
+MAX_TOLD = 20
 """How many such messages of one opening are logged; whoever sends more has been named often enough."""
 HEARTBEAT_S = 0.05
 """How often it says that it was not switched: so long does an operator that reads it wait for it."""
@@ -108,9 +108,9 @@ class _Hand:
                 self._say_state()
         elif text.strip().upper() in (ON, OFF):
             self._turn(text.strip().upper() == ON, topic, retained)
-        elif self._strange < MOST_TOLD:
+        elif self._strange < MAX_TOLD:
             self._strange += 1
-            log.warning("MQTT message is neither ON nor OFF", topic=topic, text=text[:MOST_SHOWN])
+            log.warning("MQTT message is neither ON nor OFF", topic=topic, text=text[:MAX_SHOWN])
 
     def _turn(self, on: bool, topic: str, retained: bool) -> None:
         """A command, or at the start what the broker remembers; an old retained command is ignored."""

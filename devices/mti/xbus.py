@@ -26,7 +26,7 @@ HEAD = b"\xfa\xff"
 EXTENDED = 0xFF
 LONGEST = 2048
 """Bytes of data that a message has at most."""
-MOST = 512
+MAX = 512
 """Messages that are taken at once at most."""
 
 REQUEST_DEVICE_ID, DEVICE_ID = 0x00, 0x01
@@ -237,7 +237,7 @@ def _sound(raw: Table, at: int, layout: XbusLayout, fixed: Table) -> int:
     """How many messages of this layout follow each other from `at` with a right sum, the bytes that are the same in all being `fixed`."""
     if not layout.size or len(raw) - at < layout.size:
         return 0
-    return numbers.sound(raw, at, layout.size, MOST, layout.fixed, fixed)
+    return numbers.sound(raw, at, layout.size, MAX, layout.fixed, fixed)
 
 
 def _item(items: tuple[tuple[int, int, int], ...], kind: int) -> tuple[int, int, int]:

@@ -31,7 +31,7 @@ ANSWER_S, ASK_S = 3.0, 0.5
 KEEP_ALIVE_S = 1.0
 SILENT_S = 3.0
 READ_S = 0.1
-MOST = 65536
+MAX = 65536
 LATEST_NS = 1 << 62
 """A server's time beyond is garbled; such are left out before they are counted with."""
 
@@ -209,7 +209,7 @@ class NatNetLink:
         found: list[tuple[int, bytes, int]] = []
         for port in select.select(ports, [], [], READ_S)[0]:
             try:
-                kind, payload = protocol.opened(port.recv(MOST))
+                kind, payload = protocol.opened(port.recv(MAX))
             except NatNetError:
                 feed.problem("no NatNet message")
                 continue

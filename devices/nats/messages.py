@@ -23,11 +23,11 @@ PREFIX = "kinegraph"
 DATA, FACTS = "kinegraph-data", "kinegraph-facts"
 """The server's two streams: messages in order, and the last fact of each kind."""
 DATA_SUBJECTS, FACT_SUBJECTS = f"{PREFIX}.*.data.>", f"{PREFIX}.*.facts.>"
-MOST_BYTES = 256 << 10
+MAX_BYTES = 256 << 10
 """A message is sent once it has so many bytes of samples."""
 GATHER_S = 0.1
 """Or once its first chunk is so old."""
-MOST_SAMPLE_BYTES = 960 << 10
+MAX_SAMPLE_BYTES = 960 << 10
 """A server takes messages of 1 MiB unless it is configured otherwise."""
 ID, SESSION, SPEC = "Nats-Msg-Id", "Kinegraph-Session", "Kinegraph-Spec"
 
@@ -86,12 +86,12 @@ class Gathering:
     def add(self, chunk: Chunk, now: int, handed: int) -> Iterator[StreamMessage]:
         """Take a chunk at `now` (ns); the messages that are complete."""
         size = chunk.data.nbytes
-        if size > MOST_BYTES and len(chunk) > 1:
-            n = max(1, MOST_BYTES * len(chunk) // size)
+        if size > MAX_BYTES and len(chunk) > 1:
+            n = max(1, MAX_BYTES * len(chunk) // size)
             for at in range(0, len(chunk), n):
                 yield from self.add(chunk.part(at, min(at + n, len(chunk))), now, handed)
             return
-        if self._builder and self._builder.size + size > MOST_BYTES:
+        if self._builder and self._builder.size + size > MAX_BYTES:
             yield self._ended()
         if self._builder is None:
             self._builder, self._began = MessageBuilder(self.spec, "whole", self.samples, copied=True), now
@@ -99,7 +99,7 @@ class Gathering:
         self._sequence += 1
         self.samples += len(chunk)
         self.until, self._handed = chunk.until, handed
-        if self._builder.size >= MOST_BYTES:
+        if self._builder.size >= MAX_BYTES:
             yield self._ended()
 
     def due(self, now: int, *, last: bool = False) -> Iterator[StreamMessage]:

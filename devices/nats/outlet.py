@@ -18,7 +18,7 @@ from platformdirs import user_state_path
 
 from kinegraph.devices.nats import link as links
 from kinegraph.devices.nats.messages import (
-    MOST_SAMPLE_BYTES,
+    MAX_SAMPLE_BYTES,
     Gathering,
     StreamMessage,
     digest_of,
@@ -116,8 +116,8 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
             check_bed(self.bed)
             self.server.check()
         for port, spec in specs.items():
-            if spec.sample_bytes > MOST_SAMPLE_BYTES:
-                raise InputError(port, spec.describe(), f"samples of at most {MOST_SAMPLE_BYTES >> 10} KiB")
+            if spec.sample_bytes > MAX_SAMPLE_BYTES:
+                raise InputError(port, spec.describe(), f"samples of at most {MAX_SAMPLE_BYTES >> 10} KiB")
             if not re.fullmatch(r"[A-Za-z0-9_.-]+", port):
                 raise InputError(port, f"called {port!r}", "letters, digits, dots, - and _ in its name")
         if self.pulse and self.pulse not in specs:

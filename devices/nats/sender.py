@@ -17,7 +17,7 @@ from kinegraph.stream.chunk import FOREVER, NEVER
 TICK_S = 0.02
 PATIENCE_S = 2.0
 """What waits in memory for longer is brought to the disk."""
-MOST_MEMORY_BYTES = 8 << 20
+MAX_MEMORY_BYTES = 8 << 20
 """Or what is more."""
 PAUSE_S = 0.5
 """After an attempt that failed."""
@@ -65,7 +65,7 @@ class MessageSender:
                 self._memory.append((message, time.monotonic()))
                 self._bytes += len(message.body)
                 self._wake.set()
-            if self._bytes > MOST_MEMORY_BYTES:
+            if self._bytes > MAX_MEMORY_BYTES:
                 self._to_disk()
 
     def keep(self) -> None:
@@ -162,7 +162,7 @@ class MessageSender:
             self._memory.clear()
             self._bytes = 0
             return
-        while self._bytes > 2 * MOST_MEMORY_BYTES:
+        while self._bytes > 2 * MAX_MEMORY_BYTES:
             message, _ = self._memory.popleft()
             self._bytes -= len(message.body)
             self._spool.dropped += 1

@@ -15,7 +15,7 @@ from kinegraph.devices.nats.messages import DATA, SESSION, SPEC
 HEARTBEAT_S = 1.0
 SILENT_S = 3.5
 """Without even a heartbeat for so long, the server has forgotten the subscription."""
-MOST_WAITING_BYTES = 16 << 20
+MAX_WAITING_BYTES = 16 << 20
 """Beyond so much that nobody has taken yet, the server is asked to wait."""
 FORGET_S = 60.0
 """So long the server keeps a subscription of a process that is gone."""
@@ -111,7 +111,7 @@ class Subscription:
         async def received(message: Any) -> None:
             await self._received(message, round)
 
-        self._inbox = await client.subscribe(inbox, cb=received, pending_bytes_limit=4 * MOST_WAITING_BYTES)
+        self._inbox = await client.subscribe(inbox, cb=received, pending_bytes_limit=4 * MAX_WAITING_BYTES)
         made = await stream.add_consumer(
             DATA,
             ConsumerConfig(
@@ -139,7 +139,7 @@ class Subscription:
         self._alive = time.monotonic()
         headers = message.headers or {}
         if headers.get("Status") == "100":
-            while self._bytes > MOST_WAITING_BYTES and round == self._round:
+            while self._bytes > MAX_WAITING_BYTES and round == self._round:
                 await asyncio.sleep(0.01)
             if message.reply:  # flow control: the server goes on when it is answered
                 await message.respond(b"")

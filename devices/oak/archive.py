@@ -16,7 +16,7 @@ from kinegraph.devices.oak.keypoint_sets import SETS
 from kinegraph.stream.errors import ParameterError
 
 CONFIG = "config.json"
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """No config is larger."""
 PARSER = "YOLO"
 """The kind of head that depthai itself decodes into detections with key points."""
@@ -67,7 +67,7 @@ def _config(path: str) -> dict[str, Any]:
             named = [m for m in archive.getmembers() if m.isfile() and m.name.removeprefix("./") == CONFIG]
             if not named:
                 raise _wrong(path, f"an NNArchive: a tar archive with {CONFIG} in it; this archive lacks it")
-            entry = archive.extractfile(named[0]) if named[0].size <= MOST_BYTES else None
+            entry = archive.extractfile(named[0]) if named[0].size <= MAX_BYTES else None
             config = json.loads(entry.read()) if entry else None
     except (tarfile.TarError, EOFError, OSError, lzma.LZMAError, zlib.error) as error:
         why = str(error).partition("\n")[0].rstrip(":")

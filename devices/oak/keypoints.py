@@ -14,7 +14,7 @@ from kinegraph.stream.errors import DeviceError
 
 NOSE_TO_MIDDLE_M = 0.10
 """From the nose to the middle of the head, where neither ear is seen."""
-LEAST_POINTS = 4
+MIN_POINTS = 4
 """Who shows less of themselves than this many points in space is not there."""
 LEAPS_M, WALKS_M_S = 0.5, 1.0
 """As far as this the person's middle may be from where it was, and as fast."""
@@ -131,7 +131,7 @@ class FollowedPerson:
 
 def _middle(places: Samples, confidence: Samples, least: float) -> Samples:
     seen = places[(confidence >= least) & np.isfinite(places).all(axis=1)]
-    return np.median(seen, axis=0) if len(seen) >= LEAST_POINTS else np.full(3, np.nan)
+    return np.median(seen, axis=0) if len(seen) >= MIN_POINTS else np.full(3, np.nan)
 
 
 class Keypoints:

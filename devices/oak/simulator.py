@@ -35,7 +35,7 @@ from kinegraph.stream.params import param
 HEAD = struct.Struct("<qq")
 """A packet, as misbehaviour spoils it: number, time on this computer (us); then the frame's bytes."""
 TICK_S = 0.005
-MOST_BEHIND = 10
+MAX_BEHIND = 10
 """A frame that is this many frames late is not rendered: the computer is too slow."""
 BOOTED_S, DRIFT = 3.25, 20e-6
 """The camera's own clock: when it started, and by how much it is fast."""
@@ -241,7 +241,7 @@ class RunningScene:
     def _due(self, seconds: float) -> list[bytes]:
         camera, fps = self._camera, self._camera.of.fps
         due = int(seconds * fps)
-        first, self._said = max(self._said, due - MOST_BEHIND), max(self._said, due + 1)
+        first, self._said = max(self._said, due - MAX_BEHIND), max(self._said, due + 1)
         packets = [
             HEAD.pack(k - self._first, self._zero_us + round(k / fps * 1e6)) + camera.frame(k, k / fps).tobytes()
             for k in range(first, due + 1)

@@ -8,8 +8,8 @@ from typing import TypeAlias
 
 Argument: TypeAlias = int | float | str | bytes | bool | None
 Message: TypeAlias = tuple[str, list[Argument]]
-MOST_DEPTH = 4
-MOST_SHAPES = 256
+MAX_DEPTH = 4
+MAX_SHAPES = 256
 BUNDLE = b"#bundle\x00"
 NUMBERS = {"i": "i", "f": "f", "d": "d", "h": "q", "t": "Q"}
 """Types of numbers, as `struct` has them."""
@@ -39,7 +39,7 @@ class OscReader:
         address, arguments = _message(data)
         types, at = _types(data)
         forms = "".join(NUMBERS.get(tag, "-") for tag in types)
-        if "-" not in forms and len(self._shapes) < MOST_SHAPES:
+        if "-" not in forms and len(self._shapes) < MAX_SHAPES:
             numbers = struct.Struct(f">{forms}")
             if at + numbers.size == len(data):
                 self._shapes[len(data)] = data[:at], address, numbers
@@ -61,7 +61,7 @@ def _places(data: bytes) -> Sequence[tuple[int, int]]:
 
 
 def _unpack(data: bytes, begin: int, end: int, depth: int, found: list[tuple[int, int]]) -> None:
-    if depth > MOST_DEPTH or end - begin < 16:
+    if depth > MAX_DEPTH or end - begin < 16:
         raise OscError("a bundle that is cut off, or bundles within too many others")
     at = begin + 16
     while at < end:

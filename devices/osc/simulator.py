@@ -18,7 +18,7 @@ from kinegraph.stream.chunk import NS
 
 OTHERWISE_HZ = 50.0
 WAVES_HZ = 0.95
-MOST_BEHIND = 5000
+MAX_BEHIND = 5000
 
 
 class OscModel:
@@ -36,7 +36,7 @@ class OscModel:
         found = []
         for k, stream in enumerate(self._streams):
             due = int(seconds * (stream.rate_hz or OTHERWISE_HZ))
-            found += [self.message(k, i) for i in range(max(self._said[k], due - MOST_BEHIND), due)]
+            found += [self.message(k, i) for i in range(max(self._said[k], due - MAX_BEHIND), due)]
             self._said[k] = max(self._said[k], due)
         return found
 

@@ -18,7 +18,7 @@ from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 from kinegraph.stream.system.atomic_file import private_folder
 
-MOST_REPEATED = 3000
+MAX_REPEATED = 3000
 """A gap of more frames is not filled."""
 
 
@@ -80,7 +80,7 @@ class BvhFile(Outlet[BvhState, BvhRuntime]):
         state, rows = self.state, list[Samples]()
         for i, pose in enumerate(np.asarray(chunk.data, np.float64)):
             if i == 0 and state.frames and chunk.lost > 0:
-                rows += min(chunk.lost, MOST_REPEATED) * [state.newest.copy()]
+                rows += min(chunk.lost, MAX_REPEATED) * [state.newest.copy()]
             if np.isfinite(pose).all():
                 state.newest[:] = pose
             rows.append(state.newest.copy())

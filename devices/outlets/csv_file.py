@@ -20,7 +20,7 @@ from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.outlet import Outlet
 from kinegraph.stream.params import param
 
-MOST_COLUMNS = 4096
+MAX_COLUMNS = 4096
 UNKNOWN = -1
 
 
@@ -71,9 +71,9 @@ class CsvFile(Outlet[CsvState, CsvRuntime]):
             raise ParameterError("path", self.path, wrong)
         spec = specs["in"]
         n = len(header(spec))
-        if n > MOST_COLUMNS:
+        if n > MAX_COLUMNS:
             raise InputError(
-                "in", f"{spec.describe()}: {n} columns", f"a stream of at most {MOST_COLUMNS} numbers a sample"
+                "in", f"{spec.describe()}: {n} columns", f"a stream of at most {MAX_COLUMNS} numbers a sample"
             )
         self.set_state(CsvState(), CsvRuntime(spec))
         return {}

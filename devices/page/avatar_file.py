@@ -8,7 +8,7 @@ from kinegraph.stream.errors import KinegraphError
 
 AVATAR = Path(__file__).with_name("avatar.vrm")
 """A mannequin: `python -m tests.mannequin` makes it."""
-MOST_AVATAR = 128 << 20
+MAX_AVATAR = 128 << 20
 
 
 def checked_avatar(path: Path | None) -> Path:
@@ -19,7 +19,7 @@ def checked_avatar(path: Path | None) -> Path:
 
     if not path.is_file():
         raise KinegraphError(f"avatar {path}: there is no such file; it must be a VRM file")
-    if path.stat().st_size > MOST_AVATAR:
-        raise KinegraphError(f"avatar {path}: {path.stat().st_size >> 20} MB; at most {MOST_AVATAR >> 20}")
+    if path.stat().st_size > MAX_AVATAR:
+        raise KinegraphError(f"avatar {path}: {path.stat().st_size >> 20} MB; at most {MAX_AVATAR >> 20}")
     read_vrm(path)
     return path.resolve()

@@ -19,12 +19,12 @@ import numpy as np
 from kinegraph.devices.formats.table.foxglove_writer import JsonMessages
 from kinegraph.devices.page.server import say
 from kinegraph.devices.page.transfer.catalogue import kind_of
-from kinegraph.devices.page.transfer.wire import LENGTH, MOST_BYTES, OPTIONS, decode
+from kinegraph.devices.page.transfer.wire import LENGTH, MAX_BYTES, OPTIONS, decode
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 
 BACKLOG = 4096
 """Messages that wait for a client that is slow; then the oldest are dropped."""
-MOST_COLUMNS = 256
+MAX_COLUMNS = 256
 """A sample of more numbers is no JSON message."""
 
 
@@ -96,7 +96,7 @@ def listener(bridge: Bridge) -> Any:
 def is_json(spec: StreamSpec) -> bool:
     """Whether a stream's samples are JSON messages."""
     size = 1 if spec.is_event else int(np.prod(spec.shape))
-    return kind_of(spec) in ("signal", "events", "points", "pose") and size <= MOST_COLUMNS
+    return kind_of(spec) in ("signal", "events", "points", "pose") and size <= MAX_COLUMNS
 
 
 def main(options: dict[str, Any]) -> None:
@@ -105,7 +105,7 @@ def main(options: dict[str, Any]) -> None:
     heard = sys.stdin.buffer
     while len(head := heard.read(LENGTH.size)) == LENGTH.size:
         (length,) = LENGTH.unpack(head)
-        if length > MOST_BYTES or len(message := heard.read(length)) < length:
+        if length > MAX_BYTES or len(message := heard.read(length)) < length:
             break
         header, numbers = decode(message)
         if header["t"] == "hello":

@@ -33,7 +33,7 @@ from kinegraph.devices.page.transfer.catalogue import (
     with_avatar,
 )
 from kinegraph.devices.page.transfer.channel import PageChannel, Portion, message
-from kinegraph.devices.page.transfer.handover import MOST_LINES, Handover, log_line
+from kinegraph.devices.page.transfer.handover import MAX_LINES, Handover, log_line
 from kinegraph.devices.page.transfer.wire import encode
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.engine.status import Outcome, Table
@@ -135,7 +135,7 @@ class LivePage:
                     str(e["kind"]),
                     {k: v for k, v in e.items() if k not in ALSO},
                 )
-                for e in recording.log[-MOST_LINES:]
+                for e in recording.log[-MAX_LINES:]
             ]
         else:
             self._handover.channel.forget()

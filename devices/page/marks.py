@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kinegraph.devices.page.transfer.wire import MOST_TEXT
+from kinegraph.devices.page.transfer.wire import MAX_TEXT
 from kinegraph.stream.chunk import Array, Chunk, StreamSpec, Times
 from kinegraph.stream.data.json_file import read_json, write_json
 from kinegraph.stream.errors import KinegraphError
@@ -17,7 +17,7 @@ from kinegraph.stream.manual import ANNOTATION
 MARKS = "marks"
 """The name of their stream on the page."""
 SPEC = StreamSpec((), ANNOTATION, units=("ns", ""))
-MOST_MARKS = 10_000
+MAX_MARKS = 10_000
 
 
 class Marks:
@@ -28,20 +28,20 @@ class Marks:
         self.path = recording / "marks.json" if recording.is_dir() else recording.with_suffix(".marks.json")
         found = read_json(self.path, "a file of marks") if self.path.exists() else {"marks": []}
         try:
-            self._marks = sorted((int(mark["onset_ns"]), str(mark["text"])[:MOST_TEXT]) for mark in found["marks"])
+            self._marks = sorted((int(mark["onset_ns"]), str(mark["text"])[:MAX_TEXT]) for mark in found["marks"])
             np.array([onset for onset, _ in self._marks], np.int64)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise KinegraphError(f"{self.path}: is not a file of marks ({error!r})") from None
 
     def add(self, new: Sequence[tuple[int, str]]) -> None:
         """Mark some moments (ns), and write the file once. Raises KinegraphError where it cannot be written, or has no room for all."""
-        room = MOST_MARKS - len(self._marks)
+        room = MAX_MARKS - len(self._marks)
         marks = sorted([*self._marks, *new[:room]])
         if marks != self._marks:
             write_json(self.path, {"marks": [{"onset_ns": onset, "text": text} for onset, text in marks]})
             self._marks = marks
         if len(new) > room:
-            raise KinegraphError(f"{self.path}: holds {MOST_MARKS} marks, and takes no more")
+            raise KinegraphError(f"{self.path}: holds {MAX_MARKS} marks, and takes no more")
 
     def read(self) -> tuple[Times, Array]:
         """Stamps (n,) and events (n,), as of the stream `annotations`."""

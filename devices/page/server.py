@@ -15,7 +15,7 @@ import msgspec
 from kinegraph.devices.page.hub import Hub
 from kinegraph.devices.page.metrics import openmetrics
 from kinegraph.devices.page.serving import PageServer, tls_context
-from kinegraph.devices.page.transfer.wire import LENGTH, MOST_BYTES, OPTIONS, decode
+from kinegraph.devices.page.transfer.wire import LENGTH, MAX_BYTES, OPTIONS, decode
 from kinegraph.stream.cli.commands import logs
 
 
@@ -32,7 +32,7 @@ async def read_session(hub: Hub, first: asyncio.Event) -> None:
     try:
         while True:
             (length,) = LENGTH.unpack(await reader.readexactly(LENGTH.size))
-            if length > MOST_BYTES:
+            if length > MAX_BYTES:
                 return
             hub.receive(*decode(await reader.readexactly(length)))
             first.set()

@@ -21,7 +21,7 @@ from websockets.http11 import Request, Response
 
 from kinegraph.devices.page.access import HEADERS, Access, is_loopback
 from kinegraph.devices.page.hub import Looking
-from kinegraph.devices.page.transfer.wire import MOST_ASKED_BYTES, asked, encode
+from kinegraph.devices.page.transfer.wire import MAX_ASKED_BYTES, asked, encode
 from kinegraph.stream.errors import KinegraphError
 
 log = structlog.get_logger(__name__)
@@ -39,7 +39,7 @@ REPORTS = "/reports/"
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; font-src data:; sandbox"
 """A report holds all that it shows, and runs nothing."""
 NO_PAGE = HTTPStatus.NOT_FOUND, "there is no such page\n"
-MOST_CLIENTS = 64
+MAX_CLIENTS = 64
 WAITING_BYTES = 1 << 18
 """More than this is not buffered for a client that does not read, here or by the system: it is sent no news until it has caught up."""
 METRICS_TYPE = "application/openmetrics-text; version=1.0.0; charset=utf-8"
@@ -104,7 +104,7 @@ class PageServer:
 
     async def _listen(self, host: str, port: int, tls: ssl.SSLContext | None) -> Server:
         return await serve(
-            self._meet, host, port, ssl=tls, process_request=self._answer, max_size=MOST_ASKED_BYTES, max_queue=16,
+            self._meet, host, port, ssl=tls, process_request=self._answer, max_size=MAX_ASKED_BYTES, max_queue=16,
             compression=None, write_limit=WAITING_BYTES, server_header=None,
         )  # fmt: skip
 
@@ -123,7 +123,7 @@ class PageServer:
             return _plain(HTTPStatus.FORBIDDEN, "open the address that kinegraph printed: it holds a token\n")
         if path == SOCKET:
             ours = access.origin_is_ours(origins[0] if origins else None, hosts[0])
-            full = len(self._shows.clients) >= MOST_CLIENTS
+            full = len(self._shows.clients) >= MAX_CLIENTS
             refused = (
                 "another web site may not look at this session\n"
                 if not ours

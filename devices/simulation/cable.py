@@ -13,8 +13,8 @@ from typing import Protocol
 
 from kinegraph.stream.errors import DeviceError
 
-MOST = 65536
-MOST_WAITING = 1 << 20
+MAX = 65536
+MAX_WAITING = 1 << 20
 """Bytes that wait for a slow host."""
 
 
@@ -85,7 +85,7 @@ class PseudoTerminal:
         if not select.select(waiting, [], [], timeout_s)[0]:
             return b""
         try:
-            heard = os.read(self._master, MOST)
+            heard = os.read(self._master, MAX)
         except OSError:
             return b""
         self._asked = self._asked or bool(heard)
@@ -97,7 +97,7 @@ class PseudoTerminal:
         data, sent = self._waiting + data, 0
         with suppress(OSError):
             sent = os.write(self._master, data)
-        self._waiting = data[sent:][:MOST_WAITING] if self._patient and self._asked else b""
+        self._waiting = data[sent:][:MAX_WAITING] if self._patient and self._asked else b""
 
     def close(self) -> None:
         self.unplug()
@@ -161,7 +161,7 @@ class TcpLine:
 
     def _receive(self, client: socket.socket) -> bytes:
         try:
-            data = client.recv(MOST)
+            data = client.recv(MAX)
         except OSError:
             data = b""
         if not data:

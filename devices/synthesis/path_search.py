@@ -11,7 +11,7 @@ from kinegraph.devices.synthesis.layout import SEARCH, WALK, Sought, Ways
 from kinegraph.stream.chunk import Array, Samples
 from kinegraph.stream.domain.motion_graph import MotionGraph
 
-MOST = 1200
+MAX = 1200
 """A frame looks at this many frames and edges at most, but for the ways on from the first node: some 0.3 ms."""
 NEARNESS = 3.0
 """By chance, a seam as far as the farthest is taken e^-3 times as often as a recording's own way on."""
@@ -81,7 +81,7 @@ class WaySearch:
         search = self._search[0]
         share = 1 + (beam.DEPTH - search["deep"]) * self._share / max(1, frames)
         looked = beam.deepen(
-            int(min(MOST, share)) if frames > 0 else MOST, self._search, self.start.along, self.ways, self._sought,
+            int(min(MAX, share)) if frames > 0 else MAX, self._search, self.start.along, self.ways, self._sought,
             self.areas, self._lots, *self._rooms,
         )  # fmt: skip
         if frames > 0 and search["deep"] < beam.DEPTH:

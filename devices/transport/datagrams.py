@@ -12,7 +12,7 @@ from contextlib import suppress
 from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError
 
-MOST = 65536
+MAX = 65536
 BUFFER = 1 << 20
 """Bytes that the system is asked to buffer."""
 GATHER_S = 0.025
@@ -61,12 +61,12 @@ class UdpTransport(ClosesAtExit):
         try:
             if self._gather_s:
                 try:
-                    return self._socket.recv(MOST)
+                    return self._socket.recv(MAX)
                 except BlockingIOError:
                     time.sleep(self._gather_s)
             if timeout_s and not select.select([self._socket], [], [], timeout_s)[0]:
                 return b""
-            return self._socket.recv(MOST)
+            return self._socket.recv(MAX)
         except BlockingIOError:
             return b""
         except (OSError, ValueError) as error:

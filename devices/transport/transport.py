@@ -17,7 +17,7 @@ from typing import Any, Protocol, Self
 from kinegraph.devices.transport.closing import ClosesAtExit
 from kinegraph.stream.errors import DeviceError, nearest
 
-MOST = 65536
+MAX = 65536
 """Bytes taken in one read."""
 PROBE_S = 1.5
 """So long a server may take to accept a connection, before a session."""
@@ -144,7 +144,7 @@ class SerialTransport(ClosesAtExit):
             port = self._port.fileno()
             if not select.select([port], [], [], timeout_s)[0]:
                 return b""
-            data = os.read(port, MOST)
+            data = os.read(port, MAX)
         except (OSError, ValueError, TypeError) as error:
             raise DeviceError(
                 f"serial port {self.address} is gone: the cable was pulled, or the device restarted ({error})"
@@ -197,7 +197,7 @@ class TcpTransport(ClosesAtExit):
         try:
             if not select.select([self._socket], [], [], timeout_s)[0]:
                 return b""
-            data = self._socket.recv(MOST)
+            data = self._socket.recv(MAX)
         except (OSError, ValueError) as error:
             raise DeviceError(f"{self.address} is gone: {error}") from None
         if not data:
@@ -216,7 +216,7 @@ class TcpTransport(ClosesAtExit):
             self._socket.shutdown(socket.SHUT_WR)
             deadline = time.monotonic() + GOODBYE_S
             while (left := deadline - time.monotonic()) > 0 and select.select([self._socket], [], [], left)[0]:
-                if not self._socket.recv(MOST):
+                if not self._socket.recv(MAX):
                     break
         with suppress(OSError):
             self._socket.close()

@@ -7,7 +7,7 @@ from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.system.extras import optional
 
 SCHEME = "zmq+"
-MOST_WAITING = 10_000
+MAX_WAITING = 10_000
 """Messages that are kept unread; ZeroMQ drops the rest."""
 
 
@@ -26,7 +26,7 @@ class ZeroMqTransport(ClosesAtExit):
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.set(zmq.LINGER, 0)
-        self._socket.set(zmq.RCVHWM, MOST_WAITING)
+        self._socket.set(zmq.RCVHWM, MAX_WAITING)
         try:
             self._socket.connect(where)
         except zmq.ZMQError as error:

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 EMG_HZ = 2000.0
 EMG_FRAME, AUX_FRAME = 27, 2
 """Samples in 13.5 ms."""
-MOST_BEHIND = 740
+MAX_BEHIND = 740
 """Frames (10 s) that are sent at once at most."""
-MOST_WAITING = 1 << 22
+MAX_WAITING = 1 << 22
 """Bytes that wait for a slow reader; then it is cut off."""
 TRIES = 20
 
@@ -78,7 +78,7 @@ class TrignoModel:
         if self._began is None:
             self._began = seconds
         due = int((seconds - self._began) / FRAME_S)
-        first, self._said = max(self._said, due - MOST_BEHIND), max(self._said, due)
+        first, self._said = max(self._said, due - MAX_BEHIND), max(self._said, due)
         return self.frames(first, self._said)
 
     def restart(self) -> None: ...
@@ -163,7 +163,7 @@ class DataLine(TcpLine):
             self._hang_up()
             return
         self._waiting = self._waiting[sent:]
-        if len(self._waiting) > MOST_WAITING:
+        if len(self._waiting) > MAX_WAITING:
             self._hang_up()
 
     def _hang_up(self) -> None:

@@ -20,7 +20,7 @@ from kinegraph.devices.transport.usb_pipe import BULK, INTERRUPT
 
 __all__ = ["BULK", "INTERRUPT", "SimulatedBus", "UsbLine", "UsbWiring"]
 
-MOST_WAITING = 4096
+MAX_WAITING = 4096
 """Packets that wait for the host at most; what comes on top is lost."""
 _ENGLISH = b"\x04\x03\x09\x04"
 _GET_DESCRIPTOR, _STRING = 6, 3
@@ -278,7 +278,7 @@ class UsbLine:
         size = self._wiring.packet
         with device.changed:
             for at in range(0, len(data), size):
-                if len(device.to_host) < MOST_WAITING:
+                if len(device.to_host) < MAX_WAITING:
                     device.to_host.append(data[at : at + size])
             if len(data) % size == 0 and self._wiring.transfer == BULK:
                 device.to_host.append(b"")

@@ -25,7 +25,7 @@ DUALSENSE = UsbWiring(
 REPORTS_HZ = 250.0
 DEG_S_PER_COUNT, G_PER_COUNT = 0.0625, 1 / 8192
 TICKS_HZ = 3_000_000
-MOST_BEHIND = 2500
+MAX_BEHIND = 2500
 
 
 @contextmanager
@@ -63,7 +63,7 @@ class DualSenseBrain:
 
     def say(self, seconds: float) -> list[bytes]:
         due = int(seconds * REPORTS_HZ)
-        first = max(self._said, due - MOST_BEHIND)
+        first = max(self._said, due - MAX_BEHIND)
         self._said = max(first, due)
         return self.reports(first, self._said)
 

@@ -23,7 +23,7 @@ TABLES = (
 )
 RAISING = ("alarm", "attention")
 POST_S = 5.0
-MOST_SHOWN = 200
+MAX_SHOWN = 200
 
 log = structlog.get_logger(__name__)
 
@@ -66,14 +66,14 @@ class AlarmBook:
 
     def open(self) -> list[dict[str, Any]]:
         """Alarms that nobody has acknowledged, the newest first."""
-        return self._rows("WHERE acknowledged IS NULL ORDER BY raised DESC LIMIT ?", MOST_SHOWN)
+        return self._rows("WHERE acknowledged IS NULL ORDER BY raised DESC LIMIT ?", MAX_SHOWN)
 
     def due(self, receiver: str) -> list[dict[str, Any]]:
         """What a receiver has not got yet, in order."""
         return self._rows(
             "WHERE id NOT IN (SELECT alarm FROM passed WHERE receiver = ?) ORDER BY raised LIMIT ?",
             receiver,
-            MOST_SHOWN,
+            MAX_SHOWN,
         )
 
     def passed(self, id: str, receiver: str) -> None:

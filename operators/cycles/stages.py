@@ -20,7 +20,7 @@ STAGE = np.dtype(
 )
 """A stage has begun (`onset`): its name, its number, its belt speed (NaN: not known), how many good cycles the stage before
 it had, and the text to show. An empty name: the protocol has ended."""
-MOST = 64
+MAX = 64
 SPEEDS = 64
 
 
@@ -125,7 +125,7 @@ class Stages(Operator[StagesState]):
         unit = 1 / 3.6 if speed is not None and speed.units[0] == "km/h" else 1.0
         self.set_state(
             StagesState(
-                np.zeros(MOST, np.int64), np.full(MOST, np.nan), np.zeros(MOST, "<U32"), 0, 0, 0, np.full(128, -1), 0, NEVER, 0, 0, NEVER,
+                np.zeros(MAX, np.int64), np.full(MAX, np.nan), np.zeros(MAX, "<U32"), 0, 0, 0, np.full(128, -1), 0, NEVER, 0, 0, NEVER,
                 np.zeros(SPEEDS, np.int64), np.zeros(SPEEDS), 0, unit, np.empty(0, kind),
             ),
             decision_s={"closed": 0.0, "stages": 0.0},
@@ -218,7 +218,7 @@ class Stages(Operator[StagesState]):
 
     def _begin(self, began: Began, stamp: int, stage: tuple[str, float, str]) -> None:
         s, (name, speed, say) = self.state, stage
-        k = s.count % MOST
+        k = s.count % MAX
         s.begins[k], s.names[k], s.speeds[k] = stamp, name, speed
         s.count += 1
         began.append((stamp, (stamp, name, s.count, speed, s.good, say)))
@@ -232,14 +232,14 @@ class Stages(Operator[StagesState]):
         if text == "next":
             self._next(began, stamp)
         elif text == "end stage":
-            if s.count and s.names[(s.count - 1) % MOST]:
+            if s.count and s.names[(s.count - 1) % MAX]:
                 self._begin(began, stamp, ("", np.nan, ""))
         elif text in ("pause stage", "resume stage"):
             self._hold(began, stamp, text == "pause stage")
         elif word == "stage" and rest.strip():
             self._begin(began, stamp, (rest.strip()[:32], _speed(rest), ""))
         elif word == "speed" and np.isfinite(_speed(rest)):
-            name = str(s.names[(s.count - 1) % MOST]) if s.count else ""
+            name = str(s.names[(s.count - 1) % MAX]) if s.count else ""
             kept = s.good, s.paused, s.waits, s.spent
             self._begin(began, stamp, (name, _speed(rest), ""))
             s.good, s.paused, s.waits, s.spent = kept
@@ -248,7 +248,7 @@ class Stages(Operator[StagesState]):
         """Pause the stage under way, or go on with the one that is paused: its time and its good cycles are kept."""
         s = self.state
         number = s.count if pause else s.paused
-        k, good, led, spent = (number - 1) % MOST, s.good, s.led, s.spent
+        k, good, led, spent = (number - 1) % MAX, s.good, s.led, s.spent
         if pause and number and s.names[k]:
             spent += stamp - s.since
             self._begin(began, stamp, ("", np.nan, f"{s.names[k]} is paused"))
@@ -263,10 +263,10 @@ class Stages(Operator[StagesState]):
         s, onset, end = self.state, int(row["onset"]), int(row["end"])
         inside = (s.stamps >= onset) & (s.stamps <= end) & (np.arange(SPEEDS) < s.heard)
         name, speed = "", np.nan
-        for i in range(max(0, s.count - MOST), s.count):
-            stop = s.begins[(i + 1) % MOST] if i + 1 < s.count else FOREVER
-            if s.begins[i % MOST] <= onset and end <= stop:
-                name, speed = str(s.names[i % MOST]), float(s.speeds[i % MOST])
+        for i in range(max(0, s.count - MAX), s.count):
+            stop = s.begins[(i + 1) % MAX] if i + 1 < s.count else FOREVER
+            if s.begins[i % MAX] <= onset and end <= stop:
+                name, speed = str(s.names[i % MAX]), float(s.speeds[i % MAX])
         return name, float(s.measured[inside].mean()) if inside.any() else speed
 
     def _count(self, began: Began, stamp: int, row: np.void) -> None:

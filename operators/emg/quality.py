@@ -49,7 +49,7 @@ LIMITS: dict[str, tuple[str, float, float]] = {
 DOUBTFUL, BAD = (np.array([[limits[k]] for limits in LIMITS.values()]) for k in (1, 2))
 FLAGS = np.array([*(["bad"] * len(LIMITS)), *(["doubtful"] * len(LIMITS)), "good"])
 REASONS = np.array([*(2 * [limits[0] for limits in LIMITS.values()]), ""])
-MOST_NOISE_UV = 10.0
+MAX_NOISE_UV = 10.0
 """Baseline noise, rms, from which an electrode is doubtful: ours. In movement the quietest 100 ms of a second are seldom at rest."""
 BAD_NOISE = 3.0
 """From this many times that noise on, an electrode is bad."""
@@ -196,7 +196,7 @@ class SignalQuality(Operator[QualityState]):
     def _most_noise(self, spec: StreamSpec) -> float:
         """The limit in the signal's unit; infinite where that is no voltage and no limit is given."""
         unit = spec.units[0] if len(set(spec.units)) == 1 else ""
-        return self.max_noise or MOST_NOISE_UV * MICROVOLTS.get(unit, np.inf)
+        return self.max_noise or MAX_NOISE_UV * MICROVOLTS.get(unit, np.inf)
 
     def _judge(self) -> Array:
         """One row per channel on the full window, which is also added to the session."""

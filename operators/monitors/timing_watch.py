@@ -34,7 +34,7 @@ OTHER_MUSCLE = (
 )
 FARTHEST_PCT = 10
 """A curve is looked for so far from where it was at first; what is further off is another pattern."""
-LEAST_PAIRS = 5
+MIN_PAIRS = 5
 ALIKE = 0.6
 """The correlation that a curve has at least with the textbook's pattern of a muscle that it is taken for."""
 
@@ -203,7 +203,7 @@ class TimingWatch(Operator[TimingWatchState]):
         s.scatter[limb, 2] = s.past.measures[limb, (s.past.seen[limb] - 1) % s.past.onsets.shape[1], 1] = lag
         s.lags[limb, s.measured[limb] % self.latest] = lag
         s.measured[limb] += 1
-        if s.measured[limb] < self.latest or s.scatter[limb, 1] < LEAST_PAIRS:
+        if s.measured[limb] < self.latest or s.scatter[limb, 1] < MIN_PAIRS:
             return
         mean = float(s.lags[limb].mean())
         error = np.sqrt(s.scatter[limb, 0] / s.scatter[limb, 1] / 2 * (1 / self.latest + 1 / self.first))

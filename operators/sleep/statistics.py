@@ -49,7 +49,7 @@ NIGHT = np.dtype(
 )
 UNITS = ("ns", "ns", "ns", "ns", "", "", "", "", "", *("min",) * (len(MINUTES) + 2), *("%",) * len(PERCENT), "")
 BEDS = ("lights", "schedule", "detected", "recording")
-MOST_ASKED = 16
+MAX_ASKED = 16
 
 log = structlog.get_logger(__name__)
 
@@ -58,7 +58,7 @@ log = structlog.get_logger(__name__)
 class SleepStatisticsState:
     """
     epochs  the newest final ones
-    asked   (MOST_ASKED, 3)  times in bed that wait for their last final epoch: begin, end, place in BEDS; the first `asks` hold
+    asked   (MAX_ASKED, 3)  times in bed that wait for their last final epoch: begin, end, place in BEDS; the first `asks` hold
     dark    when the lights went off; NEVER: they are on. window (2,): the schedule's present night; NEVER: not known yet
     last    the newest stamp of any input; promised: up to when nothing more comes. bed: what the time in bed is by
     known   end of the newest epoch that was scored; NEVER if not since the last row. parted: nothing counts until one is
@@ -123,7 +123,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
         n = int(np.ceil(self.longest_h * 3600 / epoch_s))
         self.set_state(
             SleepStatisticsState(
-                ScoredEpochs.empty(round(epoch_s * NS), n), np.zeros((MOST_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]),
+                ScoredEpochs.empty(round(epoch_s * NS), n), np.zeros((MAX_ASKED, 3), np.int64), 0, NEVER, np.array([NEVER, NEVER]),
                 NEVER, NEVER, bed, NEVER, False,
             )
         )  # fmt: skip
@@ -222,7 +222,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
             s.dark = NEVER
 
     def _ask(self, begin: int, end: int, bed: str, *, estimated: bool = False) -> None:
-        """From `begin` to `end` someone was in bed; more than MOST_ASKED that wait for their epochs are passed over."""
+        """From `begin` to `end` someone was in bed; more than MAX_ASKED that wait for their epochs are passed over."""
         s = self.state
         if bed == "lights" and end - begin > self.longest_h * 3600 * NS:
             hours = (end - begin) / (3600 * NS)
@@ -231,7 +231,7 @@ class SleepStatistics(Operator[SleepStatisticsState]):
                 since=_utc(begin), until=_utc(end), hours=round(hours, 2), longest_h=self.longest_h,
             )  # fmt: skip
             return
-        if end - begin >= s.epochs.length_ns and s.asks < MOST_ASKED:
+        if end - begin >= s.epochs.length_ns and s.asks < MAX_ASKED:
             s.asked[s.asks] = begin, end, BEDS.index(bed) + len(BEDS) * (estimated or bed in ("detected", "recording"))
             s.asks += 1
 

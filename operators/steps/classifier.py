@@ -17,7 +17,7 @@ from kinegraph.stream.operator import Case, Operator
 from kinegraph.stream.params import param
 
 UNCERTAIN, NOBODY = "uncertain", "nobody enrolled"
-MOST_CLASSES = 64
+MAX_CLASSES = 64
 SHIPPED = Path(__file__).with_name("walking_manner.npz")
 """Made by `python -m tests.walking_model` from simulated people: "brisk" and "shuffling"."""
 
@@ -85,8 +85,8 @@ class StepClassifier(Operator[StepClassifierState]):
         if spec.dtype != STEP:
             raise InputError("in", spec.describe(), "steps (operators.steps.steps.Steps)")
         model = some_model() if self.model == SOME else StepModel.read(Path(self.model) if self.model else SHIPPED)
-        if len(model.classes) > MOST_CLASSES:
-            raise InputError("in", f"{len(model.classes)} classes", f"at most {MOST_CLASSES}")
+        if len(model.classes) > MAX_CLASSES:
+            raise InputError("in", f"{len(model.classes)} classes", f"at most {MAX_CLASSES}")
         model.check_steps(spec, self.model or SHIPPED.name)
         k = len(model.classes)
         self.set_state(

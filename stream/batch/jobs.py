@@ -13,7 +13,7 @@ from typing import Any
 from kinegraph.stream.errors import GraphError, KinegraphError
 from kinegraph.stream.graph.reading.yaml_lines import parse
 
-MOST = 1_000_000
+MAX = 1_000_000
 """Jobs of one batch; more is a slip of the pen in a `--set`."""
 
 
@@ -43,9 +43,9 @@ def jobs(recordings: Iterable[Path], grid: Mapping[str, Sequence[Any]]) -> list[
     found = {path.absolute(): path for path in recordings}
     if not found:
         raise KinegraphError("no recording is given")
-    if len(found) * len(combinations) > MOST:
+    if len(found) * len(combinations) > MAX:
         raise KinegraphError(
-            f"{len(found)} recordings x {len(combinations)} combinations of settings are more than {MOST} jobs"
+            f"{len(found)} recordings x {len(combinations)} combinations of settings are more than {MAX} jobs"
         )
     return [Job(path, _name(path), settings) for path in found for settings in combinations]
 

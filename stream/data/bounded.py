@@ -33,7 +33,7 @@ RATIO = 16
 """A larger piece may unpack to this many times its size."""
 WHOLE_RATIO = 500
 """All pieces of a recording together may unpack to this many times its size; what kinegraph writes unpacks to far less, even zeros."""
-LEAST_WHOLE = 1 << 31
+MIN_WHOLE = 1 << 31
 _STEP = 1 << 20
 MOST_ROWS = 1 << 48
 _MANY_ARRAYS = 10_000
@@ -50,7 +50,7 @@ def most(packed: int) -> int:
 
 def check_whole(declared: int, packed: int) -> None:
     """Raises TooLarge where the pieces of a recording of `packed` bytes declare more than it may unpack to, `declared` bytes."""
-    if declared > (limit := max(LEAST_WHOLE, WHOLE_RATIO * packed)):
+    if declared > (limit := max(MIN_WHOLE, WHOLE_RATIO * packed)):
         raise TooLarge(f"it claims to hold {declared} bytes in {packed}; at most {limit} are unpacked")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from kinegraph.stream.chunk import Array, StreamSpec
 from kinegraph.stream.errors import RecordingError
 
-MOST = 4096
+MAX = 4096
 """A sample with more numbers than this is no row of a table."""
 
 
@@ -23,7 +23,7 @@ def column_names(spec: StreamSpec) -> list[tuple[str, str]]:
             for name in spec.dtype.names
             for i in np.ndindex(spec.dtype[name].shape)
         ]
-    if np.prod(spec.shape, dtype=np.int64) > MOST:
+    if np.prod(spec.shape, dtype=np.int64) > MAX:
         raise RecordingError(f"samples of {' x '.join(map(str, spec.shape))} numbers do not fit into a table")
     axes = [[_index((i,)) for i in range(n)] for n in spec.shape]
     if spec.channels:

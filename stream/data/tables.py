@@ -168,12 +168,6 @@ def read_records(path: Path, wrong: type[KinegraphError] = KinegraphError) -> li
         raise wrong(f"{path}: cannot be read: {error}") from None
 
 
-def read_cells(path: Path, kind: str) -> list[tuple[int, list[str]]]:
-    """Line number and cells of each row as text; empty lines, and those that begin with #, are left out. Raises RecordingError."""
-    lines = enumerate(read_text(path, kind).splitlines(), 1)
-    return [(number, next(csv.reader([line]))) for number, line in lines if line.strip() and not line.startswith("#")]
-
-
 def read_text(path: Path, kind: str) -> str:
     """The whole of a text file in UTF-8; raises RecordingError where it cannot be one of this kind."""
     try:

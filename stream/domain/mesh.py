@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from kinegraph.stream.chunk import StreamSpec
 from kinegraph.stream.errors import InputError
 
-MOST_TRIANGLES = 5_000_000
+MAX_TRIANGLES = 5_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class Topology:
 
 def _faces(facts: Any) -> NDArray[np.int32]:
     count = int(facts["triangles"])
-    if not 0 <= count <= MOST_TRIANGLES:
+    if not 0 <= count <= MAX_TRIANGLES:
         raise ValueError(f"{count} triangles")
     try:
         inflate = zlib.decompressobj()

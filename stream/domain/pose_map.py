@@ -19,7 +19,7 @@ KIND = "map"
 MISSING = -32768
 """A coordinate that is not known."""
 LARGEST = 32767
-MOST_MARKERS = 64
+MAX_MARKERS = 64
 """Markers are chosen by the bits of one number."""
 
 
@@ -149,8 +149,8 @@ def _wrong(index: MotionIndex) -> str:
     """What does not hang together in an index; "": nothing."""
     n, m = len(index.poses), len(index.markers)
     ends = [0, *(s.last for s in index.sequences)]
-    if not (n and 0 < m <= MOST_MARKERS and len(set(index.markers)) == m):
-        return f"a map has poses of 1 to {MOST_MARKERS} markers, each with a name of its own"
+    if not (n and 0 < m <= MAX_MARKERS and len(set(index.markers)) == m):
+        return f"a map has poses of 1 to {MAX_MARKERS} markers, each with a name of its own"
     if any(s.first != end or s.first >= s.last for s, end in zip(index.sequences, ends, strict=False)) or ends[-1] != n:
         return "its sequences do not follow one another"
     if not (0.0 < index.rate_hz <= 10_000.0 and 0.0 < index.step < 1e30):

@@ -16,7 +16,7 @@ from kinegraph.stream.domain.claims import ClaimGate
 from kinegraph.stream.domain.finding import REPORT, Finding
 from kinegraph.stream.domain.rotation import RotationSigns, rotations
 from kinegraph.stream.engine.flow.admission import conform, ordered, soundness
-from kinegraph.stream.engine.flow.promise import END, MOST_LOST, PromiseError, impossible
+from kinegraph.stream.engine.flow.promise import END, MAX_LOST, PromiseError, impossible
 from kinegraph.stream.engine.flow.queues import BoundedQueue, ReadyQueue
 from kinegraph.stream.errors import (
     DeclarationError,
@@ -329,7 +329,7 @@ class SourceSupervisor:
             self.problems["time ran backwards"] += dropped
             at = next(b for a, b in zip(time.tolist(), time[1:].tolist(), strict=False) if b < a)
             gate.ran_backwards(dropped, at)
-        if not (until < END and chunk.until < END and -1 <= chunk.lost <= MOST_LOST) or (
+        if not (until < END and chunk.until < END and -1 <= chunk.lost <= MAX_LOST) or (
             len(time) and time.item(0) <= -END
         ):
             raise PromiseError(self.node.name, output, impossible(before), before, kind="source")

@@ -30,7 +30,7 @@ class FullQueue(Protocol):
         """Drop the oldest chunk for this one, counted and marked in the next that is taken; False where there is room by now."""
 
 
-LIVE_BYTES, OTHER_BYTES, LEAST_CHUNKS = 16 << 20, 4 << 20, 8
+LIVE_BYTES, OTHER_BYTES, MIN_CHUNKS = 16 << 20, 4 << 20, 8
 """A queue of policy `block` is full at this size, in sessions with live sources and in others, once it has that many chunks: 256 images
 take more memory than all that works on them. Nothing is lost by waiting; a queue that drops or fails has its count of chunks alone."""
 
@@ -44,7 +44,7 @@ def max_bytes(policy: Policy, *, live: bool) -> int:
 
 def queued_bytes(chunks: int, chunk_bytes: int, bound: int) -> int:
     """The most that a queue for this number of chunks, each of this size, can hold with a bound by `max_bytes`."""
-    return chunks * chunk_bytes if not bound else min(chunks * chunk_bytes, max(bound, LEAST_CHUNKS * chunk_bytes))
+    return chunks * chunk_bytes if not bound else min(chunks * chunk_bytes, max(bound, MIN_CHUNKS * chunk_bytes))
 
 
 OnFull: TypeAlias = Callable[[FullQueue, Chunk, int], bool]

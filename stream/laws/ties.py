@@ -13,7 +13,7 @@ from kinegraph.stream.laws.laws import Conformance
 from kinegraph.stream.laws.play import differ
 from kinegraph.stream.laws.violations import Broken
 
-MOST = 7
+MAX = 7
 """Orders of the ports that are tried."""
 
 
@@ -25,7 +25,7 @@ def ties(trial: Conformance) -> None:
         delivery = steps(tapes, max(1, trial.longest // 20))
         with trial.warm(what):
             straight = trial.play(delivery, tapes)
-            for order in islice(permutations(tapes), 1, MOST):
+            for order in islice(permutations(tapes), 1, MAX):
                 player = trial.player()
                 player.name_ports(order)
                 if difference := differ(straight, player.play(delivery)):

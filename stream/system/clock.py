@@ -8,7 +8,7 @@ from kinegraph.stream.chunk import NEVER
 
 BOOTTIME: int | None = getattr(time, "CLOCK_BOOTTIME", None)
 """Linux' clock that goes on while the machine is suspended, where its monotonic clock stands still."""
-LEAST_SLEEP_NS = 10_000_000
+MIN_SLEEP_NS = 10_000_000
 """Less than that is no suspended machine."""
 
 
@@ -31,9 +31,9 @@ class SessionClock:
 
     def at(self, monotonic_ns: int) -> int:
         """Session time of an instant, not long ago, of the host's monotonic clock (LSL and depthai stamp with it)."""
-        if BOOTTIME is not None and time.clock_gettime_ns(BOOTTIME) - monotonic_ns - self._suspended > LEAST_SLEEP_NS:
+        if BOOTTIME is not None and time.clock_gettime_ns(BOOTTIME) - monotonic_ns - self._suspended > MIN_SLEEP_NS:
             suspended = suspended_ns()  # or the instant is some time ago
-            if suspended - self._suspended > LEAST_SLEEP_NS:
+            if suspended - self._suspended > MIN_SLEEP_NS:
                 self._suspended = suspended
         return monotonic_ns + self._anchor + self._suspended
 

@@ -18,7 +18,7 @@ SHARE = 0.75
 BEYOND = 0.25
 """How much further than its ceiling a session may reach in one call before the system refuses it; the ceiling itself is looked at once a
 second, between two chunks."""
-LEAST_BEYOND = 1 << 30
+MIN_BEYOND = 1 << 30
 _LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
@@ -58,7 +58,7 @@ def refused_beyond(ceiling_bytes: int) -> Iterator[None]:
     if not ceiling_bytes:
         yield
         return
-    with limited(max(ceiling_bytes - taken(), 0) + max(round(ceiling_bytes * BEYOND), LEAST_BEYOND)):
+    with limited(max(ceiling_bytes - taken(), 0) + max(round(ceiling_bytes * BEYOND), MIN_BEYOND)):
         yield
 
 

@@ -136,6 +136,8 @@ def test_a_device_that_sends_as_declared_gives_no_finding(name: str, monkeypatch
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("name", [*DEVICES, *SENDERS])
 def test_two_hours_of_a_device_give_no_finding(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the device's time, read in pieces of 20 ms; it takes minutes."""
+    """Of the device's time, in longer steps; it takes minutes."""
     monkeypatch.setattr("tests.devices.scripted.STEP_S", 0.02)
+    monkeypatch.setattr("tests.devices.travelling.STEP_S", 0.05)
+    monkeypatch.setattr("kinegraph.devices.ble.simulated_backends.TICK_S", 0.05)
     assert findings(name, 7200.0, monkeypatch) == []

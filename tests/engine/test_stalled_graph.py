@@ -17,7 +17,7 @@ from kinegraph.stream.engine.flow.queues import BoundedQueue
 from kinegraph.stream.engine.ingress import Ingress
 from kinegraph.stream.engine.session import Session
 from kinegraph.stream.engine.supervisor import not_inline
-from kinegraph.stream.graph.backpressure import LEAST_CHUNKS, LIVE_BYTES, OTHER_BYTES, Policy, max_bytes, queued_bytes
+from kinegraph.stream.graph.backpressure import LIVE_BYTES, MIN_CHUNKS, OTHER_BYTES, Policy, max_bytes, queued_bytes
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.operator import Emitted
 from kinegraph.stream.params import param
@@ -79,7 +79,7 @@ def images(n: int, size: int) -> list[Chunk]:
     [
         (1 << 18, "block", False, OTHER_BYTES >> 18),
         (1 << 18, "block", True, LIVE_BYTES >> 18),
-        (1 << 23, "block", True, LEAST_CHUNKS),
+        (1 << 23, "block", True, MIN_CHUNKS),
         (100, "block", False, 90),
         (1 << 18, "drop_oldest", False, 90),
     ],

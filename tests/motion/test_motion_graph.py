@@ -15,7 +15,7 @@ import pytest
 from scipy.optimize import minimize
 
 from kinegraph.devices.synthesis.goals import Aim
-from kinegraph.devices.synthesis.path_search import MOST, WaySearch
+from kinegraph.devices.synthesis.path_search import MAX, WaySearch
 from kinegraph.devices.synthesis.source import NODE, Synthesis
 from kinegraph.devices.synthesis.walker import LEGS, GraphWalk
 from kinegraph.operators.features.stack import Stack
@@ -236,7 +236,7 @@ def test_a_search_is_spread_over_frames(graph: MotionGraph, monkeypatch: pytest.
         walker.step()
     whole = [sum(looks[a:b]) for a, b in pairwise(begun)]
     assert max(whole) > 1000, "there is something to be spread"
-    assert max(looks) <= 0.25 * max(whole) and max(looks) <= MOST
+    assert max(looks) <= 0.25 * max(whole) and max(looks) <= MAX
     assert np.diff(begun).max() <= 4 * CYCLE, "each ends"
 
 

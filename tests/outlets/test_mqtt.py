@@ -18,7 +18,7 @@ from structlog.testing import capture_logs
 from kinegraph.devices.mqtt import MqttOutlet, MqttSwitch
 from kinegraph.devices.mqtt.discovery import Device, Entity
 from kinegraph.devices.mqtt.link import FIRST_PAUSE_S, Broker
-from kinegraph.devices.mqtt.message_queue import MOST_MESSAGES, MessageQueue, MessageQueueState
+from kinegraph.devices.mqtt.message_queue import MAX_MESSAGES, MessageQueue, MessageQueueState
 from kinegraph.devices.mqtt.sent_events import SentEvents
 from kinegraph.stream.chunk import FOREVER, NS, Chunk, StreamSpec, empty, utc
 from kinegraph.stream.engine.pipeline import Pipeline, Stage
@@ -198,7 +198,7 @@ def test_a_new_session_owes_nothing_to_the_former_ones(tmp_path: Path) -> None:
 def test_a_message_queue_is_bounded_and_survives_in_a_checkpoint() -> None:
     rows: list[str] = []
     messages = MessageQueue(MessageQueueState("s"), lambda topic, text, retain: None)
-    for key in range(MOST_MESSAGES + 10):
+    for key in range(MAX_MESSAGES + 10):
         messages.post("t", key, f"message {key}")
     assert messages.dropped == 10
     again = MessageQueue(messages.keep(), lambda topic, text, retain: rows.append(text) or len(rows))
@@ -206,10 +206,10 @@ def test_a_message_queue_is_bounded_and_survives_in_a_checkpoint() -> None:
     assert rows[0] == "message 10" and len(rows) == 16  # at most so many are under way
     again.delivered(1)
     assert len(rows) == 17
-    again.remembered("t", json.dumps({"session": "s", "key": MOST_MESSAGES}))
-    assert rows[-1] != f"message {MOST_MESSAGES}" and json.loads(again.keep().arrived) == {"t": MOST_MESSAGES}
-    again.remembered("t", json.dumps({"session": "another", "key": MOST_MESSAGES + 9}))
-    assert json.loads(again.keep().arrived) == {"t": MOST_MESSAGES}
+    again.remembered("t", json.dumps({"session": "s", "key": MAX_MESSAGES}))
+    assert rows[-1] != f"message {MAX_MESSAGES}" and json.loads(again.keep().arrived) == {"t": MAX_MESSAGES}
+    again.remembered("t", json.dumps({"session": "another", "key": MAX_MESSAGES + 9}))
+    assert json.loads(again.keep().arrived) == {"t": MAX_MESSAGES}
 
 
 def test_a_switch_is_switched_and_remembers(tmp_path: Path) -> None:
@@ -418,10 +418,10 @@ def test_a_long_message_costs_no_memory_and_the_next_one_arrives(tmp_path: Path)
 
 
 def test_messages_that_come_too_fast_are_counted_and_dropped() -> None:
-    from kinegraph.devices.mqtt.link import MOST_NEWS, Broker, BrokerConnection
+    from kinegraph.devices.mqtt.link import MAX_NEWS, Broker, BrokerConnection
 
     link = BrokerConnection(Broker(), "flood", "x/availability", ["x/set"], joined=lambda: None)
-    for _ in range(MOST_NEWS + 7):
+    for _ in range(MAX_NEWS + 7):
         link._take(MQTTMessage(topic=b"x/set"))
     assert link.dropped == 7
 

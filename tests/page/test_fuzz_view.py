@@ -21,7 +21,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from kinegraph.devices.page.recorded.reading import MOST_STAMP
+from kinegraph.devices.page.recorded.reading import MAX_STAMP
 from kinegraph.devices.page.recorded.viewing import RecordingHub
 from kinegraph.devices.page.serving import PageServer
 from kinegraph.devices.page.transfer.wire import decode
@@ -163,7 +163,7 @@ def _drawn(name: str, chance: random.Random) -> Series:
     spec = StreamSpec(shape, dtype, rate, channels=named, meta=meta)
     count = chance.choice((1, 2, 5, 200))
     drawn = np.random.default_rng(chance.randrange(1 << 30))
-    begin = chance.choice((START, 0, 1, -(10**18), MOST_STAMP - 10**10, MOST_STAMP + 10**10))
+    begin = chance.choice((START, 0, 1, -(10**18), MAX_STAMP - 10**10, MAX_STAMP + 10**10))
     steps = drawn.integers(0, chance.choice((1, 10, 10**6, 10**12, 10**16)) + 1, count)
     stamps = begin + np.cumsum(steps) * chance.choice((1, 1, 1, -1))
     raw = drawn.bytes(count * spec.sample_bytes)

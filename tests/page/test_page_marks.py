@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinegraph.devices.page.marks import MOST_MARKS, Marks, shown_with
+from kinegraph.devices.page.marks import MAX_MARKS, Marks, shown_with
 from kinegraph.devices.page.recorded.viewing import RecordingHub
 from kinegraph.devices.page.transfer.wire import Mark
 from kinegraph.stream.chunk import NS, StreamSpec
@@ -107,8 +107,8 @@ def test_many_quick_marks_are_written_together(tmp_path: Path, monkeypatch: pyte
 def test_marks_beyond_the_limit_are_refused_and_the_others_kept(tmp_path: Path) -> None:
     marks = Marks(tmp_path)
     with pytest.raises(KinegraphError, match="takes no more"):
-        marks.add([(k, "x") for k in range(MOST_MARKS + 1)])
-    assert len(Marks(tmp_path).read()[0]) == MOST_MARKS
+        marks.add([(k, "x") for k in range(MAX_MARKS + 1)])
+    assert len(Marks(tmp_path).read()[0]) == MAX_MARKS
 
 
 def test_marks_come_back_in_the_order_of_time(tmp_path: Path) -> None:
@@ -134,12 +134,12 @@ def test_a_file_that_holds_no_marks_is_named(tmp_path: Path, text: str) -> None:
 
 def test_there_is_an_end_to_marks(tmp_path: Path) -> None:
     (tmp_path / "marks.json").write_text(
-        json.dumps({"marks": [{"onset_ns": n, "text": "x"} for n in range(MOST_MARKS)]})
+        json.dumps({"marks": [{"onset_ns": n, "text": "x"} for n in range(MAX_MARKS)]})
     )
     marks = Marks(tmp_path)
     with pytest.raises(KinegraphError, match="no more"):
         marks.add([(0, "y")])
-    assert len(marks.read()[0]) == MOST_MARKS and np.all(np.diff(marks.read()[0]) >= 0)
+    assert len(marks.read()[0]) == MAX_MARKS and np.all(np.diff(marks.read()[0]) >= 0)
 
 
 def test_panels_with_annotations_show_marks_too() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinegraph.devices.page.transfer.channel import TICK, PageChannel
-from kinegraph.devices.page.transfer.pipe import MOST_BUFFERS, ServerPipe
+from kinegraph.devices.page.transfer.pipe import MAX_BUFFERS, ServerPipe
 from kinegraph.devices.page.transfer.wire import LENGTH, decode, encode
 from kinegraph.stream.chunk import Chunk, grid
 
@@ -61,7 +61,7 @@ def test_messages_come_whole_and_in_order_however_full_the_pipe_was(ends: PipeEn
     sent, came, full = [], [], 0
     for _ in range(60):
         array = rng.normal(size=(int(rng.integers(0, 5000)), 3))
-        small = [bytes([k % 256]) for k in range(int(rng.integers(0, 2 * MOST_BUFFERS)))]
+        small = [bytes([k % 256]) for k in range(int(rng.integers(0, 2 * MAX_BUFFERS)))]
         ends.pipe.write([[b"", array, *small], [b"end"]])
         sent += [array.tobytes() + b"".join(small), b"end"]
         full += not ends.pipe.flush()

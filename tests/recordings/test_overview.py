@@ -14,7 +14,7 @@ from kinegraph.stream.chunk import NS, Chunk, StreamSpec, grid
 from kinegraph.stream.graph import RecordingOptions
 from kinegraph.stream.recording import Recorder, Recording
 from kinegraph.stream.recording.format.layout import HEAD
-from kinegraph.stream.recording.format.overview import MOST_GAPS, OverviewWriter, unpack, width_of
+from kinegraph.stream.recording.format.overview import MAX_GAPS, OverviewWriter, unpack, width_of
 from kinegraph.stream.recording.read.records import DAMAGE
 from kinegraph.stream.recording.recover import rewrite
 
@@ -145,7 +145,7 @@ def test_gaps_have_a_bound() -> None:
     writer = OverviewWriter(SPEC, 1 << 26)
     times = np.arange(3000, dtype=np.int64) * NS
     writer._note_gaps(np.array([[3000, 0, 0, 0, 0]]), times)
-    assert len(writer._gaps) == MOST_GAPS
+    assert len(writer._gaps) == MAX_GAPS
 
 
 def test_the_kernels_find_what_a_pass_by_numpy_finds() -> None:

@@ -13,7 +13,7 @@ from kinegraph.devices.formats.c3d.parameters import BLOCK, MIPS, Parameters, re
 from kinegraph.stream.chunk import Array
 from kinegraph.stream.errors import RecordingError
 
-MOST_FRAMES = 0xFFFF
+MAX_FRAMES = 0xFFFF
 """A C3D header counts frames in 16 bits: longer recordings say so elsewhere, each program in its own place."""
 
 
@@ -76,7 +76,7 @@ def frames_of(path: Path, head: bytes, parameters: Parameters) -> C3dFrames:
     )
     if made.markers and not (scale and isfinite(scale)):
         raise RecordingError(f"{path}: the scale of its markers is {scale:g}; their positions cannot be determined")
-    return _counted(path, made, max(0, last - first + 1) if last < MOST_FRAMES else None, parameters)
+    return _counted(path, made, max(0, last - first + 1) if last < MAX_FRAMES else None, parameters)
 
 
 def read_frames(path: Path, frames: C3dFrames, parameters: Parameters) -> tuple[Array, Array]:
@@ -139,7 +139,7 @@ def _counted(path: Path, frames: C3dFrames, header: int | None, parameters: Para
     size = frames.numbers * frames.width
     held = (end - frames.begin) // size if size else 0
     declared, doubt = parameters.count("POINT", "FRAMES") or header, ""
-    if declared is None or declared == MOST_FRAMES:
+    if declared is None or declared == MAX_FRAMES:
         declared = header = _long(parameters)
         if declared is None and size:
             declared = held - _filled(path, end, size)

@@ -13,9 +13,9 @@ from kinegraph.stream.chunk import Array
 
 BLOCK = 512
 """A C3D file counts in blocks of this many bytes, from 1."""
-MOST_BLOCKS = 256
+MAX_BLOCKS = 256
 """This many blocks the parameters may take: one byte counts them."""
-HEAD = (254 + MOST_BLOCKS) * BLOCK
+HEAD = (254 + MAX_BLOCKS) * BLOCK
 """This many bytes hold the parameters, wherever they begin: one byte says where."""
 INTEL, DEC, MIPS = 84, 85, 86
 """Processors, as a C3D file marks them: the first two put the low byte first."""
@@ -71,7 +71,7 @@ def read_parameters(head: bytes) -> Parameters:
     their extents and the values themselves, which must lie before the next record. Raises ValueError that says at which byte they do not.
     """
     begin = (head[0] - 1) * BLOCK if head else -1
-    data = head[max(0, begin) : begin + MOST_BLOCKS * BLOCK]
+    data = head[max(0, begin) : begin + MAX_BLOCKS * BLOCK]
     if begin < 0 or len(head) < BLOCK or len(data) < 4 or data[3] not in (INTEL, DEC, MIPS):
         raise ValueError(f"its parameters end abruptly at byte {max(0, begin)}")
     names: dict[int, str] = {}

@@ -41,7 +41,7 @@ UNITS = {
     "g": "g",
 }
 SIDES = ("left", "right")
-MOST_S = 1e6
+MAX_S = 1e6
 """No event of a trial is later than this."""
 HEADER_EVENTS = 12345
 """A header with this key holds events."""
@@ -106,7 +106,7 @@ def _events(path: Path, parameters: Parameters, head: bytes, start_ns: int, find
     labels, contexts = labels[:count], contexts[:count]
     if not any(labels):
         return _header_events(path, parameters.processor, head, start_ns, findings)
-    if times.shape != (2, len(labels)) or not (np.abs(times) < MOST_S).all():
+    if times.shape != (2, len(labels)) or not (np.abs(times) < MAX_S).all():
         findings.doubts.append(
             f"{path.name}: {len(labels)} events, but times for {times.shape[-1]}: they cannot be matched and are left out"
             if times.shape != (2, len(labels))
@@ -134,7 +134,7 @@ def _header_events(path: Path, processor: int, head: bytes, start_ns: int, findi
         return []
     times = reals(head[304:376], processor)[:count].astype(np.float64)
     labels = [text_of(head[396 + 4 * i : 400 + 4 * i]) or f"event{i + 1}" for i in range(count)]
-    if not (np.abs(times) < MOST_S).all():
+    if not (np.abs(times) < MAX_S).all():
         findings.doubts.append(f"{path.name}: the times of the header's events are not numbers: they are left out")
         return []
     onsets = start_ns + np.round(times * 1e6).astype(np.int64) * 1000

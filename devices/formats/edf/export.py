@@ -19,7 +19,7 @@ from kinegraph.stream.system.atomic_file import complete, private_folder
 from kinegraph.stream.text.safe_text import say
 
 LONGEST_RECORD_S = 60
-MOST_LETTERS = 60
+MAX_LETTERS = 60
 """Of a subject or a task in the names of BIDS files."""
 FIRST_YEAR, LAST_YEAR = 1985, 2084
 VOLTAGES = ("V", "mV", "uV")
@@ -156,8 +156,8 @@ def _bids(wanted: Export) -> list[Written]:
     if wanted.place.is_file():
         raise RecordingError(f"--out {wanted.place}: is a file; name the study's folder")
     facts = wanted.recording.header.get("session") or {}
-    subject = re.sub(r"[^A-Za-z0-9]", "", str(facts.get("subject", "")))[:MOST_LETTERS] or "01"
-    task = re.sub(r"[^A-Za-z0-9]", "", str(facts.get("task", "")))[:MOST_LETTERS] or "recording"
+    subject = re.sub(r"[^A-Za-z0-9]", "", str(facts.get("subject", "")))[:MAX_LETTERS] or "01"
+    task = re.sub(r"[^A-Za-z0-9]", "", str(facts.get("task", "")))[:MAX_LETTERS] or "recording"
     stem = f"sub-{subject}_task-{task}"
     folder = wanted.place / f"sub-{subject}"
     streams = gather(wanted)

@@ -21,7 +21,7 @@ from kinegraph.stream.chunk import Array, Samples
 from kinegraph.stream.data.bounded import check_size
 from kinegraph.stream.errors import RecordingError
 
-MOST_JSON = 64 << 20
+MAX_JSON = 64 << 20
 KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -32,7 +32,7 @@ def glb_chunks(data: bytes, path: Path, what: str = "glTF file") -> tuple[dict[s
     if len(data) < 20 or data[:4] != b"glTF":
         raise RecordingError(f"{path}: is not a {what}: it does not begin as a glTF binary does")
     length, kind = struct.unpack_from("<II", data, 12)
-    if kind != 0x4E4F534A or length > min(len(data) - 20, MOST_JSON):
+    if kind != 0x4E4F534A or length > min(len(data) - 20, MAX_JSON):
         raise RecordingError(f"{path}: is not a {what}: its first chunk is not JSON, or is cut off")
     found = json.loads(data[20 : 20 + length])
     if not isinstance(found, dict) or not isinstance(found.get("nodes"), list):
@@ -69,7 +69,7 @@ class Gltf:
         if data[:4] == b"glTF":
             document, held = glb_chunks(data, path)
         else:
-            document = json.loads(data[:MOST_JSON])
+            document = json.loads(data[:MAX_JSON])
         if not isinstance(document, dict) or not str(document.get("asset", {}).get("version", "")).startswith("2."):
             raise RecordingError(f"{path}: is not a file of glTF 2.0")
         if packed := next((one for one in document.get("extensionsRequired", ()) if one in PACKED), None):

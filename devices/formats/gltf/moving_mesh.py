@@ -13,7 +13,7 @@ from kinegraph.devices.formats.timing import regular
 from kinegraph.stream.chunk import NS, Array, Samples
 
 RATE_HZ = 30.0
-LEAST_HZ = 10.0
+MIN_HZ = 10.0
 """Keys that are farther apart are poses, not frames."""
 USUAL = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
 
@@ -65,7 +65,7 @@ class Animation:
         """A rate and how many frames: the given rate, else that of the keys where they are regular and dense, else 30 Hz."""
         keys = self.keys
         on_grid = regular(np.round((keys - keys[0]) * NS).astype(np.int64), None) if rate_hz is None else None
-        rate = rate_hz or (on_grid[0] if on_grid and on_grid[0] >= LEAST_HZ else RATE_HZ)
+        rate = rate_hz or (on_grid[0] if on_grid and on_grid[0] >= MIN_HZ else RATE_HZ)
         return rate, int((keys[-1] - keys[0]) * rate + 1e-3) + 1
 
     def times(self, rate_hz: float, count: int) -> Samples:

@@ -19,7 +19,7 @@ from kinegraph.stream.errors import RecordingError
 TRIANGLES, STRIP, FAN = 4, 5, 6
 WAYS = {"LINEAR": 1, "STEP": 1, "CUBICSPLINE": 3}
 """How values between keys are found, and how many a key has."""
-MOST_BYTES = 4 << 30
+MAX_BYTES = 4 << 30
 """An animation that takes more memory than this is not read."""
 
 
@@ -49,10 +49,10 @@ def animated(mesh: MovingMesh, path: Path, rate_hz: float | None) -> Iterator[tu
     for animation in mesh.animations:
         rate, count = animation.frames(rate_hz)
         size = count * (24 * mesh.vertices + 128 * len(mesh.order))
-        if size > MOST_BYTES:
+        if size > MAX_BYTES:
             raise RecordingError(
                 f"{path}: {count} frames of {mesh.vertices} vertices take {size / 1e9:.1f} GB; at most "
-                f"{MOST_BYTES / 1e9:.1f} are read: say a lower --rate"
+                f"{MAX_BYTES / 1e9:.1f} are read: say a lower --rate"
             )
         frames = mesh.at(animation.times(rate, count), animation)
         if not np.isfinite(frames).all():

@@ -21,7 +21,7 @@ KINDS = {(np.dtype("<f4")): FLOAT, np.dtype("<u2"): SHORT, np.dtype("<u4"): INT}
 VERTICES, TRIANGLES = 34962, 34963
 TOLERANCE_M = 0.0005
 """Morph targets are the motion's principal directions; as many as keep every vertex within this distance of where it was."""
-MOST_TARGETS = 64
+MAX_TARGETS = 64
 VRM_ANIMATION = "VRMC_vrm_animation"
 THICK = 0.08
 """A stick's thickness in shares of its length."""
@@ -179,7 +179,7 @@ def write_mesh(path: Path, faces: Array, times: Samples, vertices: Samples, name
 
 
 def _targets(moved: Samples) -> tuple[Samples, Samples]:
-    """Weights (n, k) and targets (k, v, 3) with the product `moved` (n, v, 3), to within `TOLERANCE_M` if `MOST_TARGETS` can do it."""
+    """Weights (n, k) and targets (k, v, 3) with the product `moved` (n, v, 3), to within `TOLERANCE_M` if `MAX_TARGETS` can do it."""
     n, v = moved.shape[:2]
     flat = moved.reshape(n, -1)
     if np.abs(flat).max() < TOLERANCE_M / 100:
@@ -187,7 +187,7 @@ def _targets(moved: Samples) -> tuple[Samples, Samples]:
     size, directions = np.linalg.eigh(flat @ flat.T)
     directions = directions[:, ::-1][:, : int((size > 1e-12 * size[-1]).sum())]
     left = flat.copy()
-    for k in range(min(directions.shape[1], MOST_TARGETS)):
+    for k in range(min(directions.shape[1], MAX_TARGETS)):
         weight = directions[:, k : k + 1]
         left -= weight @ (weight.T @ left)
         if np.linalg.norm(left.reshape(n, v, 3), axis=2).max() < TOLERANCE_M:

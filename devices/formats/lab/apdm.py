@@ -10,7 +10,7 @@ from kinegraph.devices.formats.import_result import Asked, Understood
 from kinegraph.devices.formats.lab.text_lines import TextLines, filled
 
 UNITS = {"accelerometer": "m/s2", "gyroscope": "rad/s", "magnetometer": "uT", "barometer": "", "orientation": ""}
-MOST = 1e9
+MAX = 1e9
 """Numbers beyond this are what unused channels hold."""
 
 
@@ -49,9 +49,9 @@ def read_apdm(path: Path, asked: Asked) -> Understood:
             columns.setdefault(kinds[k].lower(), []).append((k, f"{name}.{axis}" if axis else name))
     for kind, mine in columns.items():
         data = np.ascontiguousarray(table[:, [k for k, _ in mine]])
-        if (wrong := np.abs(data) > MOST).any():
+        if (wrong := np.abs(data) > MAX).any():
             made.doubt(
-                f"{kind}: {int(wrong.sum())} numbers are beyond {MOST:g}and cannot be measurements; they become NaN"
+                f"{kind}: {int(wrong.sum())} numbers are beyond {MAX:g}and cannot be measurements; they become NaN"
             )
             data[wrong] = np.nan
         units = (UNITS.get(kind, ""),)

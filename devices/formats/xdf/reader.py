@@ -14,7 +14,7 @@ import numpy as np
 import structlog
 
 from kinegraph.devices.formats.findings import Claims, Findings
-from kinegraph.devices.formats.timing import MOST_NS, lost_by_stamps
+from kinegraph.devices.formats.timing import MAX_NS, lost_by_stamps
 from kinegraph.stream.chunk import NS, Array, StreamSpec, Times
 from kinegraph.stream.data.bounded import check_gzip, reading
 from kinegraph.stream.data.columns import assemble
@@ -41,7 +41,7 @@ EPOCH_S = 86_400.0
 """Streams of one recording that lie further apart than this were stamped by clocks that count from different years."""
 JITTER_S = 0.5
 """By more than this no stamp is wrong because a computer was late."""
-TEXT_WIDTH, MOST_TEXT = 64, 1 << 16
+TEXT_WIDTH, MAX_TEXT = 64, 1 << 16
 """Characters that a string marker has room for: at least the first by default, and never more than the second."""
 
 
@@ -104,7 +104,7 @@ def _chosen(
 
 def _readable(path: Path, streams: dict[str, dict[str, Any]], result: _Claims) -> dict[str, dict[str, Any]]:
     """The streams with stamps of one epoch, that of most samples; the others are left out by name."""
-    bad = {n for n, s in streams.items() if not (np.abs(np.asarray(s["time_stamps"], float)) <= MOST_NS / NS).all()}
+    bad = {n for n, s in streams.items() if not (np.abs(np.asarray(s["time_stamps"], float)) <= MAX_NS / NS).all()}
     if bad and len(bad) == len(streams):
         raise RecordingError(f"{path}: stream {min(bad)!r} holds times that are not numbers; the file is damaged")
     for name in sorted(bad):
@@ -291,7 +291,7 @@ def _markers(
     fields = labels if count > 1 and len({*labels, "onset"}) == count + 1 and all(labels) else ["text"]
     fields = fields if len(fields) == count else [f"text{i + 1}" for i in range(count)]
     longest = max((len(cell) for row in rows for cell in row), default=0)
-    width = wanted or max(TEXT_WIDTH, min(longest, MOST_TEXT))
+    width = wanted or max(TEXT_WIDTH, min(longest, MAX_TEXT))
     if longest > width:
         raise RecordingError(
             f"{path}: a marker of stream {name!r} has {longest} characters; allow them with --text-width {longest}"

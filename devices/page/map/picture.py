@@ -10,7 +10,7 @@ from kinegraph.devices.page.transfer.wire import encode
 from kinegraph.stream.chunk import Array, Samples, Times
 from kinegraph.stream.domain.pose_map import MotionIndex
 
-MOST_DRAWN = 50_000
+MAX_DRAWN = 50_000
 """This many poses are drawn; of more, those in between are shown as density."""
 BINS = 96
 """Squares across and down of the density."""
@@ -20,7 +20,7 @@ BUNDLE = 5
 
 def drawn(index: MotionIndex) -> Times:
     """The frames that are drawn: all, or evenly spaced ones."""
-    return np.arange(0, len(index.poses), max(1, -(-len(index.poses) // MOST_DRAWN)))
+    return np.arange(0, len(index.poses), max(1, -(-len(index.poses) // MAX_DRAWN)))
 
 
 def opening(index: MotionIndex, name: str) -> bytes:

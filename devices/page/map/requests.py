@@ -6,8 +6,8 @@ from typing import TypeAlias
 
 import msgspec
 
-MOST_FRAMES = 256
-MOST_POINTS = 2000
+MAX_FRAMES = 256
+MAX_POINTS = 2000
 
 
 class WantedFrames(msgspec.Struct, tag="frames", tag_field="do", forbid_unknown_fields=True):
@@ -42,9 +42,9 @@ def wanted(message: str | bytes) -> Wanted:
     """What a client asks for. Raises ValueError (msgspec's) for anything else; numbers are checked by whom they belong to."""
     found: Wanted = _wanted.decode(message)
     match found:
-        case WantedFrames(numbers) if len(numbers) > MOST_FRAMES:
+        case WantedFrames(numbers) if len(numbers) > MAX_FRAMES:
             raise ValueError("a client asks for too many poses")
-        case WantedCurve(_, points) if not 2 <= points <= MOST_POINTS:
+        case WantedCurve(_, points) if not 2 <= points <= MAX_POINTS:
             raise ValueError("a client asks for too many points")
         case WantedNear(_, _, count, band_s, markers) if not (
             0 < count <= 200 and 0 <= band_s <= 1e6 and all(0 <= m < 64 for m in markers)

@@ -12,10 +12,10 @@ from kinegraph.stream.chunk import Array, Chunk, StreamSpec, Times
 from kinegraph.stream.recording.format.overview import Overview
 
 PIECES = 1 << 15
-MOST_PIECES = 1 << 17
+MAX_PIECES = 1 << 17
 MOST_VALUES = 1 << 23
-"""Least (and as many greatest) values of one pyramid: `MOST_PIECES` of 64 channels."""
-MOST_GAPS = 1000
+"""Least (and as many greatest) values of one pyramid: `MAX_PIECES` of 64 channels."""
+MAX_GAPS = 1000
 AT_ONCE = 1 << 20
 """Values of a chunk that are looked at together."""
 Rows = NDArray[np.float32]
@@ -27,7 +27,7 @@ class Pyramid:
     width    of a piece (ns), at least two samples
     pieces   (m,) numbers of the pieces that hold samples, ascending; piece k begins at `first` + k `width`
     low      (m, c) float32, and `high`: NaN where a piece holds no value
-    gaps     where samples are missing (ns): until when there were any, and from when again; at most `MOST_GAPS`
+    gaps     where samples are missing (ns): until when there were any, and from when again; at most `MAX_GAPS`
     """
 
     def __init__(
@@ -50,9 +50,9 @@ class Pyramid:
     def seen(
         cls, spec: StreamSpec, overviews: Sequence[Overview], first: int, last: int, most: int = MOST_VALUES
     ) -> Pyramid:
-        """The pyramid that the recorder left, at most `MOST_PIECES` long."""
+        """The pyramid that the recorder left, at most `MAX_PIECES` long."""
         base = overviews[0].width_ns
-        longest = max(1, min(MOST_PIECES, most // max(int(np.prod(spec.shape)), 1)))
+        longest = max(1, min(MAX_PIECES, most // max(int(np.prod(spec.shape)), 1)))
         wide = base << max(0, ((last - first) // base // longest).bit_length())
         made = cls(spec, first // wide * wide, last, width=wide)
         before: int | None = None
@@ -63,7 +63,7 @@ class Pyramid:
             made.gaps += part.gaps
             before = int(part.pieces[-1])
         made._settle()
-        del made.gaps[MOST_GAPS:]
+        del made.gaps[MAX_GAPS:]
         return made
 
     def build(self, chunks: Iterable[Chunk], progress: Callable[[float], None]) -> None:
@@ -77,7 +77,7 @@ class Pyramid:
 
     def _add(self, chunk: Chunk) -> None:
         torn = np.flatnonzero(breaks(chunk.time, chunk.lost, self._before, self.spec.period_ns))
-        for i in torn[: MOST_GAPS - len(self.gaps)]:
+        for i in torn[: MAX_GAPS - len(self.gaps)]:
             before = int(chunk.time[i - 1]) if i else self._before
             self.gaps.append((int(chunk.time[i]) if before is None else before, int(chunk.time[i])))
         self._before = int(chunk.time[-1])

@@ -31,15 +31,15 @@ CURVES_S = 10
 """So far back a curve of every channel is looked for."""
 EVENTS_BEFORE = 200
 """Events before what is looked at, for those that last into it."""
-MOST_MOMENTS = 2000
+MAX_MOMENTS = 2000
 """Of more events of a stream the time line shows this many of the moments at which there is one."""
-MOST_RAW = 400_000
+MAX_RAW = 400_000
 """More values than this are not read from the file for one look before there is a pyramid."""
-MOST_READ = 1 << 24
+MAX_READ = 1 << 24
 """And never more than this."""
-MOST_PYRAMIDS = 1 << 25
+MAX_PYRAMIDS = 1 << 25
 """Values of all pyramids together."""
-MOST_STAMP = 1 << 62
+MAX_STAMP = 1 << 62
 """Stamps beyond it are no times."""
 
 
@@ -51,7 +51,7 @@ def _described(recording: Recording, name: str, stream: RecordedStream) -> dict[
         with reading(recording.path, "a recording"):
             if not kind_of(stream.spec):
                 return None
-            if not -MOST_STAMP < stream.first <= stream.last < MOST_STAMP:
+            if not -MAX_STAMP < stream.first <= stream.last < MAX_STAMP:
                 raise RecordingError("its stamps run backwards, or are no times")
             return described(name, stream.spec)
     except KinegraphError as error:
@@ -104,7 +104,7 @@ class RecordedViews:
         pyramid = self.pyramids.get(stream)
         found = None
         if not pyramid or width < pyramid.width:
-            if (spec.rate_hz or 100.0) * (end - begin) / NS * spec.shape[0] > MOST_RAW and not pyramid:
+            if (spec.rate_hz or 100.0) * (end - begin) / NS * spec.shape[0] > MAX_RAW and not pyramid:
                 return None
             found = self._read(stream, spec, begin, end)
         if found is None:
@@ -133,7 +133,7 @@ class RecordedViews:
             times.append(chunk.time[part])
             rows.append(as_rows(chunk.data)[part])
             count += rows[-1].size
-            if count > MOST_READ:
+            if count > MAX_READ:
                 return None
         return np.concatenate(times), np.concatenate(rows).astype(np.float64), np.concatenate(torn)
 
@@ -185,7 +185,7 @@ class RecordedViews:
         signals = [
             i for i, spec in enumerate(self.specs) if kind_of(spec) == "signal" and self._streams[i].first is not None
         ]
-        most = min(MOST_VALUES, MOST_PYRAMIDS // max(len(signals), 1))
+        most = min(MOST_VALUES, MAX_PYRAMIDS // max(len(signals), 1))
         with Recording.open(self.recording.path) as own:
             for stream in signals:
                 source = self._streams[stream]
@@ -219,7 +219,7 @@ class RecordedViews:
         for stream, spec in enumerate(self.specs):
             if kind_of(spec) == "events" and stream != self._marks_at:
                 found: dict[float, float] = {}
-                piece = max((self.end - self.begin) / NS / MOST_MOMENTS, 1e-9)
+                piece = max((self.end - self.begin) / NS / MAX_MOMENTS, 1e-9)
                 for chunk in own.chunks(self.names[stream]):
                     onset = chunk.data["onset"] if _has_onset(spec) else chunk.time
                     at = (np.clip(onset.astype(np.int64), self.begin, self.end) - self.begin) / NS

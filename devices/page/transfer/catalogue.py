@@ -6,7 +6,7 @@ from collections.abc import Container, Iterable, Mapping
 from typing import Any, Literal, TypeAlias
 
 from kinegraph.devices.page.transfer.poses import avatar_bones, bones_of
-from kinegraph.devices.page.transfer.wire import MOST_TEXT
+from kinegraph.devices.page.transfer.wire import MAX_TEXT
 from kinegraph.stream.chunk import StreamSpec
 from kinegraph.stream.domain.axes import Axes
 from kinegraph.stream.domain.mesh import Topology
@@ -27,8 +27,8 @@ SLOW_BYTES_S = 4096
 """A signal below this is kept from the beginning, whether or not somebody looks at it."""
 MANY_CHANNELS = 32
 """A signal of more channels has no panel unless it is asked for."""
-MOST_WORDS = 40
-MOST_MODULE = 256 << 10
+MAX_WORDS = 40
+MAX_MODULE = 256 << 10
 """Characters of a panel's module."""
 
 
@@ -174,7 +174,7 @@ def words_of(graph: Graph) -> list[str]:
         if isinstance(node.part, Operator):
             with blaming(node.name, "words"):
                 offered += node.part.annotations_understood()
-    return [word[:MOST_TEXT] for word in dict.fromkeys(offered)][:MOST_WORDS]
+    return [word[:MAX_TEXT] for word in dict.fromkeys(offered)][:MAX_WORDS]
 
 
 def own_panels(
@@ -197,8 +197,8 @@ def own_modules(page: PageOptions) -> dict[str, str]:
             found[kind] = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise KinegraphError(f"the panel {kind!r} cannot be read: {path}: {error}") from None
-        if len(found[kind]) > MOST_MODULE:
-            raise KinegraphError(f"the panel {kind!r} is too large: {path} has more than {MOST_MODULE} characters")
+        if len(found[kind]) > MAX_MODULE:
+            raise KinegraphError(f"the panel {kind!r} is too large: {path} has more than {MAX_MODULE} characters")
     return found
 
 

@@ -12,7 +12,7 @@ from kinegraph.devices.page.transfer.pipe import PipeMessage, ServerPipe
 from kinegraph.devices.page.transfer.wire import encode
 from kinegraph.stream.chunk import Chunk
 
-MOST_BYTES = 32 << 20
+MAX_BYTES = 32 << 20
 TICK_S = 1 / 30
 """What comes within this time is handed over together."""
 UNSEEN_TICK_S = 0.25
@@ -46,7 +46,7 @@ class PageChannel:
     dropped   chunks that were too many
     """
 
-    def __init__(self, newest: list[bool], max_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, newest: list[bool], max_bytes: int = MAX_BYTES) -> None:
         self.newest, self.wanted = newest, [False] * len(newest)
         self.seen = False
         self.dropped = 0

@@ -16,7 +16,7 @@ SEEN_TICK_S = 0.1
 """How soon what is left is handed over, where no further chunk comes; what comes regularly is handed over by those that bring it."""
 LAST_S = 1.0
 """How long a server that has no room is waited for when a session ends."""
-MOST_LINES = 200
+MAX_LINES = 200
 """Lines of the log that wait for the server; a page shows as many."""
 
 
@@ -40,7 +40,7 @@ class Handover:
     def note(self, line: bytes) -> None:
         """One more line of the log."""
         with self._writing:
-            self.lines = [*self.lines[1 - MOST_LINES :], line]
+            self.lines = [*self.lines[1 - MAX_LINES :], line]
 
     @property
     def tick_s(self) -> float:

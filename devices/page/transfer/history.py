@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 from kinegraph.devices.page.transfer.downsample import Curve, as_rows, breaks, thinned
 from kinegraph.stream.chunk import Array, Chunk, StreamSpec, Times
 
-MOST_BYTES = 8 << 20
+MAX_BYTES = 8 << 20
 """Of one stream."""
-LEAST_SAMPLES = 2
-MOST_SAMPLES = 200_000
+MIN_SAMPLES = 2
+MAX_SAMPLES = 200_000
 
 
 class History:
     """The newest samples of a stream, numbered; `first` is the oldest one kept, `end` the one behind the newest."""
 
-    def __init__(self, spec: StreamSpec, max_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, spec: StreamSpec, max_bytes: int = MAX_BYTES) -> None:
         self.spec = spec
-        self.limit = int(np.clip(max_bytes // (spec.sample_bytes + 9), LEAST_SAMPLES, MOST_SAMPLES))
+        self.limit = int(np.clip(max_bytes // (spec.sample_bytes + 9), MIN_SAMPLES, MAX_SAMPLES))
         room = min(2 * self.limit, 1024)
         self._time: Times = np.empty(room, np.int64)
         self._data: Array = np.empty((room, *spec.shape), spec.dtype)

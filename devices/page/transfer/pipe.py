@@ -16,7 +16,7 @@ from kinegraph.stream.chunk import Array
 
 PipeMessage: TypeAlias = "Sequence[bytes | Array]"
 """Its parts, one behind the other; arrays are contiguous."""
-MOST_BUFFERS = 512
+MAX_BUFFERS = 512
 """In one system call; Linux and macOS take 1024."""
 CAPACITY = 1 << 20
 """Bytes that the system is asked to hold (Linux's default is 64 KiB)."""
@@ -55,7 +55,7 @@ class ServerPipe:
             del self._rest[: not self._rest[0].nbytes]
         while self._rest:
             try:
-                written = os.writev(self._handle, [*islice(self._rest, MOST_BUFFERS)])
+                written = os.writev(self._handle, [*islice(self._rest, MAX_BUFFERS)])
             except BlockingIOError:
                 return False
             done = 0

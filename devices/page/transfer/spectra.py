@@ -15,7 +15,7 @@ FINE_S, COARSE_S = 1.0, 0.25
 """About how long a window is: of a spectrum, and of a spectrogram."""
 LEAST, FINEST, COARSEST = 16, 4096, 512
 MOST_VALUES = 1 << 21
-MOST_COLUMNS = 300
+MAX_COLUMNS = 300
 
 
 def window_of(rate_hz: float, seconds: float, most: int) -> int:
@@ -60,7 +60,7 @@ def analysed(number: int, spec: StreamSpec, asked: Analyse, time: Times, data: A
         mean = each.mean(axis=0).T if len(each) else np.empty(0)
         return encode(header, np.ascontiguousarray(mean, "<f4").tobytes())
     size = window_of(rate_hz, COARSE_S, COARSEST)
-    hop = max(size // 4, -(-len(rows) // MOST_COLUMNS))
+    hop = max(size // 4, -(-len(rows) // MAX_COLUMNS))
     starts = windows(time, size, hop, spec.period_ns)
     each = densities(rows[:, asked.channel : asked.channel + 1], starts, size, rate_hz)[..., 0]
     middles = (time[starts] + size * spec.period_ns // 2 - t0_ns) / 1e9

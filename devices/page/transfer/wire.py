@@ -17,11 +17,11 @@ VERSION = 1
 OPTIONS = "KINEGRAPH_PAGE"
 """The variable of its environment in which a server finds where it is to listen."""
 LENGTH = Struct("<I")
-MOST_BYTES = 64 << 20
+MAX_BYTES = 64 << 20
 """No message between our own processes is longer."""
-MOST_ASKED_BYTES = 4096
+MAX_ASKED_BYTES = 4096
 """No message of a client is longer."""
-MOST_TEXT = 64
+MAX_TEXT = 64
 
 _encoder = msgspec.json.Encoder()
 
@@ -118,9 +118,9 @@ def asked(message: str | bytes) -> Asked:
             raise ValueError("a client asks for an impossible time")
         case Analyse(_, _, begin, end) if not -1e9 < begin < end < 1e9:
             raise ValueError("a client asks for an impossible time")
-        case Mark(text, at) if not text.strip() or len(text) > MOST_TEXT or (at is not None and not -1e9 < at < 1e9):
-            raise ValueError(f"an annotation has 1 to {MOST_TEXT} characters")
-        case Tell(node, text) if len(node) > 200 or len(text) > MOST_TEXT:
+        case Mark(text, at) if not text.strip() or len(text) > MAX_TEXT or (at is not None and not -1e9 < at < 1e9):
+            raise ValueError(f"an annotation has 1 to {MAX_TEXT} characters")
+        case Tell(node, text) if len(node) > 200 or len(text) > MAX_TEXT:
             raise ValueError("a value that is too long")
         case SetPace(speed) if not 0 <= speed <= 1000:
             raise ValueError("a speed is from 0 to 1000")

@@ -20,7 +20,7 @@ from kinegraph.stream.errors import DeviceError
 
 APART_NS = 4 * 3600 * NS
 """So long after anyone was in bed, what follows is another night, whatever the statistics say."""
-MOST_WAITING = 3000
+MAX_WAITING = 3000
 """This many epochs wait for a disk that takes no new folder: a day."""
 
 log = structlog.get_logger(__name__)
@@ -109,7 +109,7 @@ class NightWriter:
         self._forget_deleted(onset)
         if self._begins_or_goes_on(onset, bed, state):
             self.last = onset
-            self._waiting = [*self._waiting[-MOST_WAITING:], row]
+            self._waiting = [*self._waiting[-MAX_WAITING:], row]
             self._write_waiting()
 
     def _begins_or_goes_on(self, onset: int, bed: str, state: str) -> bool:

@@ -33,7 +33,7 @@ NO_NUMBERS = {
 """By whether it is closed."""
 SHOWN_NS = 15 * 60 * NS
 """This much before and after the night is drawn."""
-LEAST_SEEN = 0.5
+MIN_SEEN = 0.5
 AT_ONCE_NS = 60 * NS
 
 
@@ -222,7 +222,7 @@ def quality(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
         )
     seen = epochs.numbers["seen"]
     if np.isfinite(seen).any():
-        poor = int((seen < LEAST_SEEN).sum())
+        poor = int((seen < MIN_SEEN).sum())
         below = f"below one half in {poor} epoch{'' if poor == 1 else 's'}"
         lines.append(
             (
@@ -236,8 +236,8 @@ def quality(facts: Facts, epochs: LoggedEpochs) -> list[tuple[str, str]]:
         changed = int((first != epochs.texts["state"])[both].sum())
         lines.append(("Provisional state corrected", f"in {changed} epochs ({100 * changed / both.sum():.1f} %)"))
     crosstalk = epochs.numbers["crosstalk"]
-    if (crosstalk > LEAST_SEEN).any():
-        lines.append(("Movement that may be the partner's", f"in {int((crosstalk > LEAST_SEEN).sum())} epochs"))
+    if (crosstalk > MIN_SEEN).any():
+        lines.append(("Movement that may be the partner's", f"in {int((crosstalk > MIN_SEEN).sum())} epochs"))
     breaths = epochs.numbers["breaths_per_min"]
     if np.isfinite(breaths).any():
         confidence = float(np.nanmean(epochs.numbers["confidence"][np.isfinite(breaths)]))

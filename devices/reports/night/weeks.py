@@ -25,7 +25,7 @@ SLOTS, SLOT_S = 2880, 30
 """Half minutes of a day."""
 FREE = (5, 6)
 """Mornings without work: Saturday and Sunday."""
-LEAST_PAIRS = 5
+MIN_PAIRS = 5
 """Fewer pairs of days tell nothing of regularity."""
 Kind = Literal["night", "nap", "part", "unfinished"]
 
@@ -224,7 +224,7 @@ def regularity(of: Sequence[NightRow]) -> tuple[float, int]:
             same += int((days[day] == days[after])[both].sum())
             total += int(both.sum())
             pairs += 1
-    return (-100 + 200 * same / total if total and pairs >= LEAST_PAIRS else float("nan")), pairs
+    return (-100 + 200 * same / total if total and pairs >= MIN_PAIRS else float("nan")), pairs
 
 
 def _blind(one: NightRow) -> np.ndarray:

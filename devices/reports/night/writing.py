@@ -16,7 +16,7 @@ from kinegraph.stream.chunk import Array
 from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.system.atomic_file import complete, private_folder
 
-MOST_LISTED = 500
+MAX_LISTED = 500
 """At most this many bed exits, switchings and breaks are kept of a night."""
 
 log = structlog.get_logger(__name__)
@@ -68,7 +68,7 @@ class OpenNight:
 
     def note(self, entries: list[list[Any]], entry: list[Any]) -> None:
         """One more entry of a list of the facts, unless it stands there."""
-        if entry not in entries and len(entries) < MOST_LISTED:
+        if entry not in entries and len(entries) < MAX_LISTED:
             entries.append(entry)
             self.save()
 

@@ -10,10 +10,10 @@ import numpy as np
 from kinegraph.devices.outlets.terminal.exercise_screen import DOUBTED
 from kinegraph.stream.chunk import NEVER, NS, Array, Samples
 
-MOST_SETS, MOST_REPETITIONS, MOST_RESTS, MOST_WORDS = 500, 20_000, 2000, 500
+MAX_SETS, MAX_REPETITIONS, MAX_RESTS, MAX_WORDS = 500, 20_000, 2000, 500
 """Of a longer session this many rows are kept, the first ones; the rest are counted, and the CSV file has them all. Names and
-features beyond the first MOST_WORDS are left blank."""
-MOST_LETTERS = 24
+features beyond the first MAX_WORDS are left blank."""
+MAX_LETTERS = 24
 REPETITION = np.dtype(
     [
         ("activity", "<i8"), ("repetition", "<i4"), ("onset", "<i8"), ("duration_s", "<f4"), ("range", "<f4"),
@@ -54,8 +54,8 @@ class Training:
 
 
 def nothing_done() -> Training:
-    rows = (np.zeros(MOST_SETS, SET), np.zeros(MOST_REPETITIONS, REPETITION), np.zeros(MOST_RESTS, REST))
-    return Training(*rows, np.zeros(MOST_WORDS, f"<U{MOST_LETTERS}"))
+    rows = (np.zeros(MAX_SETS, SET), np.zeros(MAX_REPETITIONS, REPETITION), np.zeros(MAX_RESTS, REST))
+    return Training(*rows, np.zeros(MAX_WORDS, f"<U{MAX_LETTERS}"))
 
 
 def take(training: Training, kind: str, event: Any) -> None:
@@ -67,7 +67,7 @@ def take(training: Training, kind: str, event: Any) -> None:
         return
     for field in table.dtype.names or ():
         value = event[field]
-        table[n][field] = _place(training, str(value)[:MOST_LETTERS]) if field in TEXTS else value
+        table[n][field] = _place(training, str(value)[:MAX_LETTERS]) if field in TEXTS else value
     setattr(training, f"n_{kind}", n + 1)
 
 

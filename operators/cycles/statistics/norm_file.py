@@ -9,7 +9,7 @@ import numpy as np
 
 from kinegraph.operators.cycles.cycle import POINTS
 from kinegraph.stream.chunk import Samples
-from kinegraph.stream.data.tables import read_cells
+from kinegraph.stream.data.csv_rows import csv_rows
 from kinegraph.stream.errors import KinegraphError
 
 NAMED = re.compile(r"(?P<name>[^\[(]*?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*")
@@ -26,7 +26,7 @@ def read_bands(path: Path, sds: float) -> tuple[str, dict[str, Samples]]:
     Between the table's points it is interpolated, linearly and across the touch-down. Of mean and sd the band is mean -+ `sds` sd; so the
     curves that a session report wrote (NAME-curves.csv, of one stage) are such a table. Raises NormError with file and line.
     """
-    rows = read_cells(path, "normative bands")
+    rows = csv_rows(path, "normative bands")
     if not rows:
         raise NormError(f"{path}: is empty; it needs {ACCEPTED}")
     start, heads = rows[0]

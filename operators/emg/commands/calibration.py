@@ -15,7 +15,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.operator import Emitted
 from kinegraph.stream.recording import Recording
 
-LEAST_CYCLES = 3
+MIN_CYCLES = 3
 
 
 def settled_envelope(
@@ -70,9 +70,9 @@ def mean_cycle(
         for name, piece in merge.push(port, chunk):
             curves += [out.data for output, out in cutting.process(name, piece) or () if output == "cycles"]
     cycles = np.concatenate(curves)
-    if len(cycles) < LEAST_CYCLES:
+    if len(cycles) < MIN_CYCLES:
         raise KinegraphError(
-            f"{recording.path}: {len(cycles)} whole cycles; a task reference needs at least {LEAST_CYCLES}"
+            f"{recording.path}: {len(cycles)} whole cycles; a task reference needs at least {MIN_CYCLES}"
         )
     return np.asarray(np.nanmean(cycles, axis=0)), len(cycles)
 

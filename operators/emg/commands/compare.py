@@ -45,7 +45,7 @@ def compare(
     from kinegraph.operators.emg.commands.comparison import compare_sessions
     from kinegraph.operators.emg.commands.comparison_groups import by_stage, groups_of
     from kinegraph.operators.emg.commands.comparison_page import stretches, write_page, write_tables
-    from kinegraph.operators.emg.commands.session_cycles import MOST_CYCLES, check_alike, read_sessions
+    from kinegraph.operators.emg.commands.session_cycles import MAX_CYCLES, check_alike, read_sessions
     from kinegraph.operators.emg.mixtures.operator import PeakMixtures
     from kinegraph.stream.batch.sessions import sessions_at
     from kinegraph.stream.system.atomic_file import private_folder
@@ -66,7 +66,7 @@ def compare(
             "the sessions have no muscle in common: " + "; ".join(f"{s.label}: {', '.join(s.muscles)}" for s in read)
         )
     groups, notes = groups_of(recordings)
-    found = compare_sessions(read, PeakMixtures(cycles=MOST_CYCLES), groups, relevant)
+    found = compare_sessions(read, PeakMixtures(cycles=MAX_CYCLES), groups, relevant)
     private_folder(output)
     write_page(found, page, " and ".join(found.labels) if len(read) < 4 else f"{len(compared)} sessions compared")
     write_tables(found, table)

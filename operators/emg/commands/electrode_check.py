@@ -9,17 +9,17 @@ from itertools import combinations
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from kinegraph.operators.emg.quality import MICROVOLTS, MOST_NOISE_UV, SignalQuality
+from kinegraph.operators.emg.quality import MAX_NOISE_UV, MICROVOLTS, SignalQuality
 from kinegraph.operators.monitors.electrode_watch import ADVICE
 from kinegraph.stream.chunk import FOREVER, Chunk, Samples, StreamSpec, Times
 from kinegraph.stream.domain.impedance import Impedance
 from kinegraph.stream.errors import InputError
 
-LEAST_RISE = 3.0
+MIN_RISE = 3.0
 """A contraction comes to at least this many times the level at rest (rms)."""
 SHARED, SAME = 0.5, 0.9
 """Correlation of two channels from which one hears the other's muscle, and from which both are the same signal."""
-MOST_OHM = 50e3
+MAX_OHM = 50e3
 """Impedance above which an electrode is doubtful; from ten times that on it is bad."""
 BLOCK_S = 0.1
 HELD_BLOCKS = 5
@@ -62,11 +62,11 @@ class Electrode:
 
 def check_electrodes(
     spec: StreamSpec, time: Times, data: Samples, rest: tuple[float, float], contraction: tuple[float, float],
-    impedances: Sequence[Impedance] = (), max_ohm: float = MOST_OHM,
+    impedances: Sequence[Impedance] = (), max_ohm: float = MAX_OHM,
 ) -> list[Electrode]:  # fmt: skip
     """Judge every channel of raw EMG (n, channels) by its impedances and its stages, (begin, end) in seconds from the first sample.
 
-    The limits are those of `SignalQuality`, and ours: LEAST_RISE, SHARED, SAME, MOST_OHM (`max_ohm`; ten times that is bad). Raises
+    The limits are those of `SignalQuality`, and ours: MIN_RISE, SHARED, SAME, MAX_OHM (`max_ohm`; ten times that is bad). Raises
     InputError where a stage holds less than a second.
     """
     seconds = (time - time[0]) / 1e9 if len(time) else np.empty(0)
@@ -80,7 +80,7 @@ def check_electrodes(
     shared, other = _shared(
         strong, rate, [k for k, reason in enumerate(reasons) if reason not in ("flat line", "mains hum")]
     )
-    limit = MOST_NOISE_UV * MICROVOLTS.get(spec.units[0], np.inf)
+    limit = MAX_NOISE_UV * MICROVOLTS.get(spec.units[0], np.inf)
     names = list(spec.channels) or [f"channel {k + 1}" for k in range(data.shape[1])]
     found = []
     for k, name in enumerate(names):
@@ -110,7 +110,7 @@ def _stages(rest: float, contraction: float, shared: float, limit: float) -> tup
         return "bad", "same signal"
     if rest > limit:
         return ("bad" if rest > 3 * limit else "doubtful"), "baseline noise"
-    if not contraction >= LEAST_RISE * rest:
+    if not contraction >= MIN_RISE * rest:
         return "bad", "no contraction"
     return ("doubtful", "crosstalk") if shared >= SHARED else ("good", "")
 

@@ -19,7 +19,7 @@ from kinegraph.stream.batch.sessions import StoredSession, name_of, open_session
 from kinegraph.stream.chunk import Array, Samples, StreamSpec
 from kinegraph.stream.errors import KinegraphError
 
-MOST_CYCLES = 500
+MAX_CYCLES = 500
 OTHER_SPEED = 0.1
 
 
@@ -69,7 +69,7 @@ class SessionCycles:
         """Every muscle's mixture of these cycles, with its limit from `pairs` of `size` random cycles and the rest, and their names."""
         group, names = muscle_groups(self.muscles, mixer.joint)
         window, made = self.window(), References.empty(len(group))
-        slots = window.latest(MOST_CYCLES)
+        slots = window.latest(MAX_CYCLES)
         fit = ReferenceFit.empty(len(slots), group.shape[1], pairs)
         for which, members in enumerate(group):
             size_here = min(size, len(slots) // 2)
@@ -198,10 +198,10 @@ def joined(sessions: list[SessionCycles]) -> SessionCycles:
         since = max(int(part.max()) for part in (numbers[-1], peaks["number"], np.array([since])) if len(part)) + 1
     label = " + ".join(session.label for session in sessions)
     curves, seconds, stages = (
-        np.concatenate([getattr(s, part) for s in sessions])[-MOST_CYCLES:]
+        np.concatenate([getattr(s, part) for s in sessions])[-MAX_CYCLES:]
         for part in ("curves", "durations_s", "stages")
     )
-    every = np.concatenate(numbers)[-MOST_CYCLES:]
+    every = np.concatenate(numbers)[-MAX_CYCLES:]
     peaks = np.concatenate(maxima)
     return replace(first, label=label, numbers=every, curves=curves, maxima=peaks, durations_s=seconds, stages=stages)
 

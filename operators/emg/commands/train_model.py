@@ -37,7 +37,7 @@ def emg_model(
     import numpy as np
 
     from kinegraph.operators.emg.commands.session_cycles import (
-        MOST_CYCLES,
+        MAX_CYCLES,
         check_alike,
         joined,
         other_speeds,
@@ -55,7 +55,7 @@ def emg_model(
     read = [found for path in sessions_at(sessions) for found in read_sessions(path, node)]
     check_alike(read)
     legs = [joined([one for one in read if one.limb == limb]) for limb in dict.fromkeys(one.limb for one in read)]
-    mixer = PeakMixtures(cycles=MOST_CYCLES)
+    mixer = PeakMixtures(cycles=MAX_CYCLES)
     parts = [leg.references(mixer, 100, cycles)[0] for leg in legs]
     made = References(*(np.concatenate([getattr(part, name) for part in parts]) for name in References.__slots__))
     names = [name for leg in legs for name in leg.channels or leg.muscles]

@@ -28,7 +28,7 @@ ANSWER = np.dtype(
 )
 """The n-th nearest (`place`, from 0): frames `first` to `last`, and the distance, rms over the markers that count, in the index's unit.
 `place` is -1 where nothing (more) was found: the end of an answer."""
-MOST = 4096
+MAX = 4096
 """This many near poses are looked at where poses are asked for."""
 AROUND = 2048
 """This many near poses of each anchor of a stretch."""
@@ -50,7 +50,7 @@ class PoseSearch:
         self.ends = np.array([s.last for s in motion.sequences])
         self.columns = (3 * motion.used[:, None] + np.arange(3)).ravel()
         n = len(motion.poses)
-        self.near = Index(len(self.columns), max(n, 1), min(MOST, max(n, 1)))
+        self.near = Index(len(self.columns), max(n, 1), min(MAX, max(n, 1)))
         for begin in range(0, n, 4096):
             self.near.follow(self.rows(np.arange(begin, min(n, begin + 4096))), 0)
 
@@ -153,7 +153,7 @@ class PoseSearch:
             band = int(min(float(query["band_s"]) * self.motion.rate_hz, n))
             weights = self.weights(int(query["markers"]))
             self.near.weigh(weights)
-            count = min(count, MOST)
+            count = min(count, MAX)
             found = (
                 self.poses(first, count, band) if first == last else self.stretches(first, last, count, band, weights)
             )

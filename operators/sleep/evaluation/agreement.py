@@ -129,7 +129,7 @@ def limits(differences: Samples, persons: Sequence[str]) -> Limits:
     )
 
 
-DRAWS, LEAST_PERSONS = 2000, 3
+DRAWS, MIN_PERSONS = 2000, 3
 
 
 def interval(
@@ -141,7 +141,7 @@ def interval(
     this one is too narrow, too.
     """
     names = list(dict.fromkeys(persons))
-    if len(names) < LEAST_PERSONS:
+    if len(names) < MIN_PERSONS:
         return np.nan, np.nan
     totals = []
     for name in names:

@@ -15,9 +15,9 @@ import numpy as np
 from kinegraph.operators.sleep.evaluation.agreement import Limits, limits
 from kinegraph.operators.sleep.evaluation.comparison import Pair, total
 from kinegraph.operators.sleep.evaluation.persons import (
-    LEAST_POINTS,
     MEASURES,
     METRICS,
+    MIN_POINTS,
     PersonAgreement,
     SizeTrend,
     Spread,
@@ -130,7 +130,7 @@ def _discrepancies(pairs: Sequence[Pair]) -> list[ChecklistItem]:
                 wider.append(f"{name}: {_told(spreading)}")
         if (p := normality(y)) is not None:
             normal.append(f"{name}: p = {p:.3f}{', not normal' if p < 0.05 else ''}")
-    few = f"one point per person (per night where one person slept); from {LEAST_POINTS} points on"
+    few = f"one point per person (per night where one person slept); from {MIN_POINTS} points on"
     return [
         ChecklistItem(step, "measures of both sides, mean (SD) of nights", "AASM's definitions; estimate against reference",
                       "; ".join(both)),

@@ -104,7 +104,7 @@ class SizeTrend:
     high: float
 
 
-LEAST_POINTS = 4
+MIN_POINTS = 4
 """Fewer persons (nights, where there is one person) say nothing about a trend or a distribution."""
 
 
@@ -112,7 +112,7 @@ def trend(reference: Samples, values: Samples) -> SizeTrend | None:
     """Least squares of `values` (n,) on `reference` (n,); None below four points, or where the reference does not vary."""
     known = ~np.isnan(values) & ~np.isnan(reference)
     x, y = reference[known], values[known]
-    if len(x) < LEAST_POINTS or np.ptp(x) == 0:
+    if len(x) < MIN_POINTS or np.ptp(x) == 0:
         return None
     from scipy.stats import linregress, t
 
@@ -130,7 +130,7 @@ def residuals(reference: Samples, values: Samples, line: SizeTrend) -> Samples:
 def normality(values: Samples) -> float | None:
     """p of Shapiro and Wilk's test; None below four values, or where they do not vary."""
     known = values[~np.isnan(values)]
-    if len(known) < LEAST_POINTS or np.ptp(known) == 0:
+    if len(known) < MIN_POINTS or np.ptp(known) == 0:
         return None
     from scipy.stats import shapiro
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_NIGHTS = 20
+MAX_NIGHTS = 20
 INK, BAND, COLOURS = "#12395b", "#dfe6ee", {SLEEP: "#8fb3d3", WAKE: "#d98a29"}
 PEOPLE = ("#12395b", "#d98a29", "#2f7d4f", "#a3211b", "#6b4c9a", "#4d8b8b", "#8a6d3b", "#555555")
 STYLE: dict[Any, Any] = {
@@ -33,7 +33,7 @@ def draw(pairs: list[Pair]) -> Figure:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    shown, found = pairs[:MOST_NIGHTS], agreement(pairs)
+    shown, found = pairs[:MAX_NIGHTS], agreement(pairs)
     with rc_context(STYLE):
         figure = Figure(figsize=(8.27, 4.1 + 0.42 * len(shown)), layout="constrained")
         above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=[2.9, 0.7 + 0.42 * len(shown)])[:, 0]

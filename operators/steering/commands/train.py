@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from kinegraph.stream.domain.axes import Axes
     from kinegraph.stream.domain.mesh import Topology
 
-MOST_FRAMES, STEEP = 400, 0.9
+MAX_FRAMES, STEEP = 400, 0.9
 """Most frames taken of a longer recording. A heading steeper than the second (sine of its angle to the ground) does not count."""
 LISTS = ("reference", "limbs", "heading")
 """What a file of markers may say beside `markers`: lists of some of them."""
@@ -366,8 +366,8 @@ def _frames(recordings: list[File]) -> tuple[Samples, Topology, Axes | None]:
     frames = frames[np.isfinite(frames).all(axis=(1, 2))]
     if len(frames) < 2:
         raise KinegraphError(f"finite frames of the mesh: {len(frames)}; at least 2 are needed to learn how it moves")
-    if len(frames) > MOST_FRAMES:
-        frames = frames[np.linspace(0, len(frames) - 1, MOST_FRAMES).astype(int)]
+    if len(frames) > MAX_FRAMES:
+        frames = frames[np.linspace(0, len(frames) - 1, MAX_FRAMES).astype(int)]
     return frames, mesh, axes
 
 

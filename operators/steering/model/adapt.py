@@ -18,7 +18,7 @@ Ranges: TypeAlias = Literal["positions", "graph"]
 RANGES: tuple[Ranges, ...] = get_args(Ranges)
 Pairing: TypeAlias = Literal["nearest", "swing"]
 PAIRINGS: tuple[Pairing, ...] = get_args(Pairing)
-MOST_FRAMES = 300
+MAX_FRAMES = 300
 NEAR = 3.0
 """No performed marker is taken to lie farther than this many standard deviations from its mean."""
 
@@ -71,8 +71,8 @@ def adapt(
 
     Distances that the performer covers are scaled by the mean distance of the markers from their reference.
     """
-    if len(performed) > MOST_FRAMES:
-        performed = performed[np.linspace(0, len(performed) - 1, MOST_FRAMES).astype(int)]
+    if len(performed) > MAX_FRAMES:
+        performed = performed[np.linspace(0, len(performed) - 1, MAX_FRAMES).astype(int)]
     facing = model.facing
     if heading and not len(facing):
         pair = [model.markers.index(name) for name in heading]

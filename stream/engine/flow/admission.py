@@ -15,7 +15,7 @@ import numpy as np
 
 from kinegraph.stream.chunk import FOREVER, NS, STAMP, Array, Chunk, StreamSpec, add_lost
 from kinegraph.stream.domain.claims import ClaimGate, survey
-from kinegraph.stream.engine.flow.promise import END, MOST_LOST
+from kinegraph.stream.engine.flow.promise import END, MAX_LOST
 
 AHEAD_NS = NS
 """A live sample's stamp may lie this far after its arrival, by what a device's clock is wrong; beyond that it is reported."""
@@ -62,7 +62,7 @@ def soundness(spec: StreamSpec, gate: ClaimGate | None = None) -> Callable[[Chun
             if data.shape != (n, *tail):
                 return False
             shape, rows = data.shape, n
-        if not (time.flags.carray and -1 <= chunk.lost <= MOST_LOST and -END < until < END):
+        if not (time.flags.carray and -1 <= chunk.lost <= MAX_LOST and -END < until < END):
             return False
         code = survey(time, until, chunk.lost, numbers)
         if code > 1:

@@ -15,7 +15,7 @@ from kinegraph.stream.errors import RunError
 
 END = 2**62
 """Stamps of samples lie before this time (the year 2116) and after its negative."""
-MOST_LOST = 2**48
+MAX_LOST = 2**48
 """No source has lost more samples than these."""
 
 
@@ -70,7 +70,7 @@ def impossible(chunk: Chunk) -> str:
         return f"stamps up to {max(int(chunk.time.max()), -int(chunk.time.min()))}; nanoseconds since 1970 are less than 2^62"
     if not -END < chunk.until < END:
         return f"until={chunk.until}; nanoseconds since 1970 are less than 2^62"
-    if not -1 <= chunk.lost <= MOST_LOST:
+    if not -1 <= chunk.lost <= MAX_LOST:
         return f"lost={chunk.lost}; it must be -1 (unknown), or a number of samples"
     return ""
 

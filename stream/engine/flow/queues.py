@@ -17,12 +17,12 @@ import numpy as np
 
 from kinegraph.stream.chunk import NEVER, Chunk, add_lost
 from kinegraph.stream.engine.flow.admission import join, joins
-from kinegraph.stream.graph.backpressure import LEAST_CHUNKS, POLICIES, Policy
+from kinegraph.stream.graph.backpressure import MIN_CHUNKS, POLICIES, Policy
 
 ReadyQueue: TypeAlias = "SimpleQueue[BoundedQueue | threading.Event | None]"
 """Holds queues that have a chunk, events to set when everything before them is done, and None to wake the thread."""
 
-MOST_TOGETHER = 256
+MAX_TOGETHER = 256
 """The most chunks that enter as one."""
 
 
@@ -31,7 +31,7 @@ class BoundedQueue:
 
     name      what is waiting, for people: "board.emg", or "camera -> blocks"
     limit     how many chunks may wait
-    bound     how many bytes may wait, where more than `LEAST_CHUNKS` do; 0: no matter how many
+    bound     how many bytes may wait, where more than `MIN_CHUNKS` do; 0: no matter how many
     policy    what a full queue does (`stream.graph.backpressure`)
     on_drop   called with (first, n) of every drop: the dropped samples' running index in this queue and their number
     waiting   what waits: chunks, their arrivals, and the running index of their first samples
@@ -109,7 +109,7 @@ class BoundedQueue:
     def full(self) -> bool:
         """Whether no further chunk may wait."""
         n = len(self.waiting)
-        return n >= self.limit or (n >= LEAST_CHUNKS and 0 < self.bound <= self._came_bytes - self._gone_bytes)
+        return n >= self.limit or (n >= MIN_CHUNKS and 0 < self.bound <= self._came_bytes - self._gone_bytes)
 
     def _leave(self, chunk: Chunk, arrival: int) -> None:
         self._came_bytes += chunk.data.nbytes
@@ -124,7 +124,7 @@ class BoundedQueue:
         together: list[Chunk] = []
         arrival = until = 0
         for chunk, at in self._take_all():
-            if together and (len(together) == MOST_TOGETHER or not joins(until, chunk)):
+            if together and (len(together) == MAX_TOGETHER or not joins(until, chunk)):
                 yield join(together), arrival, len(together) > 1
                 together = []
             together.append(chunk)

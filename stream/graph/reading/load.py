@@ -21,7 +21,7 @@ from kinegraph.stream.graph.reading.expansion import expand, plain_text
 from kinegraph.stream.graph.reading.opening import open_nodes
 from kinegraph.stream.graph.reading.overrides import override, placed, rewrite
 from kinegraph.stream.graph.reading.page_section import read_page
-from kinegraph.stream.graph.reading.part_files import MOST_NODES
+from kinegraph.stream.graph.reading.part_files import MAX_NODES
 from kinegraph.stream.graph.reading.problems import Problems
 from kinegraph.stream.graph.reading.settings_section import read_settings
 from kinegraph.stream.graph.reading.wiring import Wiring
@@ -164,7 +164,7 @@ def load_page(text: str, streams: Iterable[str]) -> RecordedPage:
         outputs[node] = (*outputs.get(node, ()), output)
     root = parse(text, "recorded")
     nodes = {name: at.items() for name, at in root.items().get("nodes", Located({}, 0)).items().items()}
-    if len(nodes) > MOST_NODES:
+    if len(nodes) > MAX_NODES:
         return RecordedPage()
     used = {name: at["use"].value for name, at in nodes.items() if "use" in at}
     parts = {name: part for name, use in used.items() if isinstance(use, str) and (part := registered(use))}
@@ -271,8 +271,8 @@ class _Loading:
                 "'nodes' is missing or empty; a graph needs a source at least", top.get("nodes", self._root)
             )
         written = dict(self._section(top, "nodes"))
-        if len(written) > MOST_NODES:
-            self._problems.add(f"the graph has {len(written)} nodes; it must have at most {MOST_NODES}", top["nodes"])
+        if len(written) > MAX_NODES:
+            self._problems.add(f"the graph has {len(written)} nodes; it must have at most {MAX_NODES}", top["nodes"])
             self._problems.stop()
         drafts: dict[str, Draft | None] = {}
         for name, entry in written.items():

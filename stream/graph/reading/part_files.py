@@ -20,7 +20,7 @@ from kinegraph.stream.graph.shipped import shipped_folder
 ENDINGS = (".yaml", ".yml")
 KEYS = ("part", "settings", "record", "page", "nodes")
 """The keys of a part's file."""
-MOST_NODES = 1000
+MAX_NODES = 1000
 """A graph with more is refused before any of them is made."""
 
 
@@ -99,8 +99,8 @@ class PartReader:
 
     def _read_parts(self, scope: Scope) -> None:
         self._count += len(scope.nodes)
-        if self._count > MOST_NODES:
-            text = f"the graph and its parts have more than {MOST_NODES} nodes"
+        if self._count > MAX_NODES:
+            text = f"the graph and its parts have more than {MAX_NODES} nodes"
             self._problems.add(text, scope.top.get("nodes"), scope.name)
             self._problems.stop()
         for name, entry in scope.nodes.items():

@@ -24,9 +24,9 @@ from kinegraph.stream.chunk import Array, StreamSpec, Times
 from kinegraph.stream.recording.format.layout import COLUMNS, Kept, table
 
 NAME, MEDIA_TYPE = "kinegraph.overview/", "application/x-kinegraph-overview"
-LEAST_WIDTH_NS, MOST_WIDTH_NS = 1 << 26, 1 << 62
+MIN_WIDTH_NS, MAX_WIDTH_NS = 1 << 26, 1 << 62
 SAMPLES_IN_A_PIECE = 16
-MOST_CHANNELS, MOST_GAPS = 64, 1000
+MAX_CHANNELS, MAX_GAPS = 64, 1000
 COMPILED = "fdbBhHiIlLqQ"
 """The number types for which there is machine code; others are made float32 before."""
 LENGTH = Struct("<I")
@@ -35,17 +35,17 @@ Rows: TypeAlias = NDArray[np.float32]
 
 def width_of(spec: StreamSpec) -> int:
     """Length of a piece of a stream's overview (ns); 0: no overview. It pays for itself where a piece holds many samples."""
-    if not spec.is_signal or not spec.period_ns or prod(spec.shape) > MOST_CHANNELS or spec.dtype.kind not in "fiu":
+    if not spec.is_signal or not spec.period_ns or prod(spec.shape) > MAX_CHANNELS or spec.dtype.kind not in "fiu":
         return 0
-    width = max(LEAST_WIDTH_NS, 1 << (SAMPLES_IN_A_PIECE * spec.period_ns - 1).bit_length())
-    return width if width < MOST_WIDTH_NS else 0
+    width = max(MIN_WIDTH_NS, 1 << (SAMPLES_IN_A_PIECE * spec.period_ns - 1).bit_length())
+    return width if width < MAX_WIDTH_NS else 0
 
 
 @dataclass(frozen=True, slots=True)
 class Overview:
     """pieces    (n,) their numbers, ascending
     low, high    (n, channels)
-    gaps         where samples are missing (ns): until when there were any, and from when again; at most `MOST_GAPS`
+    gaps         where samples are missing (ns): until when there were any, and from when again; at most `MAX_GAPS`
     """
 
     width_ns: int
@@ -109,7 +109,7 @@ class OverviewWriter:
 
     def _note_gaps(self, rows: Times, times: Times) -> None:
         before = int(times[0]) if self._before is None else self._before
-        gaps = np.empty((MOST_GAPS - len(self._gaps), 2), np.int64)
+        gaps = np.empty((MAX_GAPS - len(self._gaps), 2), np.int64)
         found = self._find_torn(rows, times, before, 2 * self._spec.period_ns, gaps)
         self._gaps += [(begin, end) for begin, end in gaps[:found].tolist()]
         self._before = int(times[-1])
@@ -145,7 +145,7 @@ def unpack(data: bytes, spec: StreamSpec) -> Overview:
     n, channels, width = facts["pieces"], facts["channels"], facts["width_ns"]
     if (
         channels != prod(spec.shape)
-        or not 1 <= width < MOST_WIDTH_NS
+        or not 1 <= width < MAX_WIDTH_NS
         or n < 1
         or len(data) != end + n * (8 + 8 * channels)
     ):
@@ -154,6 +154,6 @@ def unpack(data: bytes, spec: StreamSpec) -> Overview:
     if (np.diff(pieces) <= 0).any():
         raise ValueError("the pieces of an overview are out of order")
     low, high = np.frombuffer(data, "<f4", 2 * n * channels, end + 8 * n).astype(np.float32).reshape(2, n, channels)
-    gaps = [(int(a), int(b)) for a, b in facts["gaps"][:MOST_GAPS]]
+    gaps = [(int(a), int(b)) for a, b in facts["gaps"][:MAX_GAPS]]
     np.array(gaps, np.int64)  # raises OverflowError for what is no stamp
     return Overview(width, pieces, low, high, gaps)

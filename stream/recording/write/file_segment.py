@@ -37,7 +37,7 @@ from kinegraph.stream.system.atomic_file import PRIVATE
 
 PIECE = 4 << 20
 """A write call takes pieces until they have this many bytes."""
-TOGETHER, MOST_PIECES = hasattr(os, "writev"), 64
+TOGETHER, MAX_PIECES = hasattr(os, "writev"), 64
 """Whether the system takes several pieces in one call, and how many: between two calls other threads take the interpreter."""
 CHUNK_BYTES, LIVE_CHUNK_BYTES = 1 << 20, 2 << 20
 """Messages with more bytes are compressed at once, without waiting for the next `save`. Beside a live session less often, for each time
@@ -204,7 +204,7 @@ class _Spool:
         """What is to be written next, in order; nothing waits: []."""
         found: list[memoryview] = []
         size = 0
-        for piece in islice(self._waiting, MOST_PIECES):
+        for piece in islice(self._waiting, MAX_PIECES):
             found.append(piece[: PIECE - size])
             size += len(found[-1])
             if size == PIECE:

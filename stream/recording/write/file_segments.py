@@ -23,9 +23,9 @@ from kinegraph.stream.system.atomic_file import private_folder
 
 log = structlog.get_logger(__name__)
 
-MOST_SAVES = 2400
+MAX_SAVES = 2400
 """A file ends after this many saves (a quarter of an hour), for its index is held in memory until then: 1 to 3 KB per save."""
-MOST_S = 900.0
+MAX_S = 900.0
 """A session's file is ended once a stream's samples span this much time, however fast: overviews are held in memory until then."""
 FULL = (errno.ENOSPC, errno.EDQUOT)
 """What a full disk says: it is waited for, and the file goes on where it stopped."""
@@ -51,9 +51,9 @@ class FileSegments:
     def __init__(
         self, path: Path, number: int, header: dict[str, Any], options: RecordingOptions, *, live: bool = False
     ) -> None:
-        """`number` is that of the first part to be written; a `live` session's parts end after `MOST_S`."""
+        """`number` is that of the first part to be written; a `live` session's parts end after `MAX_S`."""
         self._path, self._number, self._header, self._options = path, number, header, options
-        self._live, self._longest = live, MOST_S if live else inf
+        self._live, self._longest = live, MAX_S if live else inf
         self._topics = [Topic(LOG), Topic(METRICS)]
         self._part: FileSegment | None = None
         self._declared = self._saves = 0
@@ -117,7 +117,7 @@ class FileSegments:
     def _is_long(self) -> bool:
         """Whether the current file's index and overviews have taken their share of memory."""
         tallies = (topic.tally for topic in self._topics if topic.tally is not None)
-        return self._saves >= MOST_SAVES or any(tally.duration_s >= self._longest for tally in tallies)
+        return self._saves >= MAX_SAVES or any(tally.duration_s >= self._longest for tally in tallies)
 
     def finish(self) -> None:
         """Write the end of the current file. Raises OSError; it can be tried again."""

@@ -16,7 +16,7 @@ from kinegraph.stream.recording.format.layout import HEAD, INT, Kept
 
 ROW = struct.Struct("<5q").pack
 """A chunk in a message's table: samples, until, lost, arrival, sequence."""
-MOST_BYTES = 1 << 62
+MAX_BYTES = 1 << 62
 HELD_BYTES = 1 << 14
 """Samples of a computed edge with more bytes are held until they are written, not copied: they never change again."""
 
@@ -42,7 +42,7 @@ class MessageBuilder:
         """`copied`: what comes may be written to later, so it is copied at once."""
         self._spec, self._dtype, self._kept, self._copied, self.first = spec, spec.dtype, kept, copied, first
         plain = kept == "whole" and not spec.dtype.names  # not every structured dtype can be read as a buffer
-        self._copies_below = 0 if not plain else MOST_BYTES if copied else HELD_BYTES
+        self._copies_below = 0 if not plain else MAX_BYTES if copied else HELD_BYTES
         self._shape: tuple[int, ...] = (-1,)
         self._rows = -1
         self.count = self.began = self.arrival = self.size = 0

@@ -28,7 +28,7 @@ from kinegraph.stream.recording.write.recorder_thread import Handed, RecorderThr
 
 PIECE_BYTES = LEAST // 2
 """A chunk with more is recorded in pieces. Readers unpack more than this of any piece of a file, whatever it packs to."""
-MOST_AT_ONCE = PIECE_BYTES + OVERHEAD
+MAX_AT_ONCE = PIECE_BYTES + OVERHEAD
 
 log = structlog.get_logger(__name__)
 
@@ -111,7 +111,7 @@ class Recorder:
         the session's own (`owned`); other arrays are never written again."""
         slot, n = self._slots[stream], len(chunk.time)
         size = (0 if slot.kept == "outline" else chunk.data.nbytes) + OVERHEAD
-        if size + 8 * n > MOST_AT_ONCE and n > 1:
+        if size + 8 * n > MAX_AT_ONCE and n > 1:
             for piece in _pieces(chunk):
                 self.write(stream, piece, arrival, sequence, owned=owned)
             return

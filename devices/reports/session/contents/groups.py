@@ -11,7 +11,7 @@ from kinegraph.devices.reports.session.contents.revisions import REVISABLE
 from kinegraph.devices.reports.session.contents.running import Running
 from kinegraph.stream.chunk import Array, Samples, Specs, Times
 
-MOST_STAGES = 16
+MAX_STAGES = 16
 """This many stages are reported apart; later ones count in the session's numbers only."""
 GAIT = ("cadence", "duration_s", "stance_pct")
 BURSTS = ("cycles", "per_cycle", "on_pct", "on_sd_pct", "off_pct", "off_sd_pct", "duration_pct", "duration_sd_pct")
@@ -70,7 +70,7 @@ class Groups:
             self.where[k, 0] = self.limbs.index(str(row["limb"]))
             self.limb_gait[self.where[k, 0]].add(np.array(gait))
         stage = str(row["stage"]) if "stage" in names else ""
-        if not stage or (stage not in self.stages and len(self.stages) == MOST_STAGES):
+        if not stage or (stage not in self.stages and len(self.stages) == MAX_STAGES):
             return
         if stage not in self.stages:
             self.stages.append(stage)

@@ -9,7 +9,7 @@ from typing import Any
 
 from kinegraph.operators.commands.marker_file import marker_file
 from kinegraph.stream.domain.axes import WAYS, Up
-from kinegraph.stream.domain.pose_map import MOST_MARKERS
+from kinegraph.stream.domain.pose_map import MAX_MARKERS
 from kinegraph.stream.errors import KinegraphError, nearest
 
 KEYS = ("origin", "ahead", "up", "markers", "bones")
@@ -47,8 +47,8 @@ def read_table(path: Path) -> MarkerTable:
         if key not in KEYS:
             raise KinegraphError(f"{path}: {key!r} is not known; {nearest(str(key), KEYS)}")
     markers = {str(name): _ways(path, name, given) for name, given in table["markers"].items()}
-    if len(markers) > MOST_MARKERS:
-        raise KinegraphError(f"{path}: {len(markers)} markers; a map holds {MOST_MARKERS} at most")
+    if len(markers) > MAX_MARKERS:
+        raise KinegraphError(f"{path}: {len(markers)} markers; a map holds {MAX_MARKERS} at most")
     for key in ("origin", "ahead"):
         if table.get(key) not in markers:
             raise KinegraphError(f"{path}: {key} is {table.get(key)!r}; {nearest(str(table.get(key)), markers)}")
@@ -83,9 +83,9 @@ def own_table(names: Sequence[str], parents: Sequence[int] | None, origin: str, 
         if marker not in names:
             known = nearest(marker, names) if marker else f"the markers are {', '.join(names[:20])}"
             raise KinegraphError(f"--{key} {marker or 'is needed'}: poses are turned by two markers; {known}")
-    if len(names) > MOST_MARKERS:
+    if len(names) > MAX_MARKERS:
         raise KinegraphError(
-            f"{len(names)} markers; a map holds {MOST_MARKERS} at most: name those that matter by --markers"
+            f"{len(names)} markers; a map holds {MAX_MARKERS} at most: name those that matter by --markers"
         )
     bones = tuple((names[p], names[j]) for j, p in enumerate(parents or ()) if p >= 0)
     return MarkerTable(origin, ahead, None, {name: ((name,),) for name in names}, bones)
