@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from kinegraph.devices.mti import Mti
     from kinegraph.devices.mti.back_walker import BackWalker
     from kinegraph.devices.natnet import NatNet
+    from kinegraph.devices.nats import StreamInlet, StreamOutlet
     from kinegraph.devices.oak import Oak
     from kinegraph.devices.oak.simulator import SimulatedOak
     from kinegraph.devices.osc import OscInlet, OscOutlet
@@ -126,6 +127,8 @@ __all__ = [
     "Shimmer",
     "SimulatedOak",
     "StepPanel",
+    "StreamInlet",
+    "StreamOutlet",
     "Synthesis",
     "TrainingReport",
     "Treadmill",
@@ -197,6 +200,8 @@ __getattr__, __dir__ = offered(
         "Shimmer": "kinegraph.devices.shimmer",
         "SimulatedOak": "kinegraph.devices.oak.simulator",
         "StepPanel": "kinegraph.devices.outlets.terminal.step_panel",
+        "StreamInlet": "kinegraph.devices.nats",
+        "StreamOutlet": "kinegraph.devices.nats",
         "Synthesis": "kinegraph.devices.synthesis",
         "TrainingReport": "kinegraph.devices.reports.training",
         "Treadmill": "kinegraph.devices.people.treadmill",

@@ -8,6 +8,7 @@ if __name__ != "kinegraph.operators":
     raise ImportError("the package is kinegraph.operators: write `from kinegraph.operators import ...`")
 
 if TYPE_CHECKING:
+    from kinegraph.operators.angles import JointAngles
     from kinegraph.operators.bed.activity import Activity
     from kinegraph.operators.bed.bed import BedRegion
     from kinegraph.operators.bed.breathing import Breathing
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from kinegraph.operators.bed.night_map import NightMap
     from kinegraph.operators.bed.presence import Presence
     from kinegraph.operators.body.background import Background
+    from kinegraph.operators.body.camera.face import Face
+    from kinegraph.operators.body.camera.hands import Hands
     from kinegraph.operators.body.camera.image_pose import ImagePose
     from kinegraph.operators.body.camera.one_camera import OneCamera
     from kinegraph.operators.body.extrema import Extrema
@@ -137,6 +140,7 @@ __all__ = [
     "Envelope",
     "Epochs",
     "Extrema",
+    "Face",
     "FillGaps",
     "Footfalls",
     "Footing",
@@ -145,9 +149,11 @@ __all__ = [
     "Gate",
     "GentleAlarm",
     "GrowingGraph",
+    "Hands",
     "Highpass",
     "ImagePose",
     "InertialContacts",
+    "JointAngles",
     "LegContacts",
     "LimbContacts",
     "LimbCycles",
@@ -250,6 +256,7 @@ __getattr__, __dir__ = offered(
         "Envelope": "kinegraph.operators.emg",
         "Epochs": "kinegraph.operators.sleep.epochs",
         "Extrema": "kinegraph.operators.body.extrema",
+        "Face": "kinegraph.operators.body.camera.face",
         "FillGaps": "kinegraph.operators.filters.gaps",
         "Footfalls": "kinegraph.operators.strides.footfalls",
         "Footing": "kinegraph.operators.pose.footing",
@@ -258,9 +265,11 @@ __getattr__, __dir__ = offered(
         "Gate": "kinegraph.operators.timing.gate",
         "GentleAlarm": "kinegraph.operators.sleep.gentle_alarm",
         "GrowingGraph": "kinegraph.operators.maps.motion_graph.growing",
+        "Hands": "kinegraph.operators.body.camera.hands",
         "Highpass": "kinegraph.operators.filters.iir",
         "ImagePose": "kinegraph.operators.body.camera.image_pose",
         "InertialContacts": "kinegraph.operators.contacts.inertial",
+        "JointAngles": "kinegraph.operators.angles",
         "LegContacts": "kinegraph.operators.contacts.leg_contacts",
         "LimbContacts": "kinegraph.operators.contacts.limb_contacts",
         "LimbCycles": "kinegraph.operators.cycles.limb_cycles",

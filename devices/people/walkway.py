@@ -17,6 +17,9 @@ from kinegraph.stream.source import Feed
 
 MUSCLES = ("LTA", "LMG", "RTA", "RMG")
 MARKERS = ("LHIP", "LKNE", "LANK", "LTOE", "RHIP", "RKNE", "RANK", "RTOE")
+PELVIS_AND_LEGS = (
+    "LASI", "RASI", "LPSI", "RPSI", "LKNE", "LANK", "LHEE", "LTOE", "RKNE", "RANK", "RHEE", "RTOE",
+)  # fmt: skip
 EMG_HZ, MARKERS_HZ = 1000.0, 100.0
 _EVERY = round(EMG_HZ / MARKERS_HZ)
 _STEP_MM = 330.0
@@ -28,7 +31,7 @@ class Walkway(PacedSource):
     """Someone walks along y, with surface EMG on both shins and calves and markers on hips, knees, ankles and toes.
 
     emg      (4,) float64, mV, 1000 Hz: LTA LMG RTA RMG (tibialis anterior, gastrocnemius medialis)
-    markers  (8, 3) float64, mm, 100 Hz: x to the right, y forwards, z up
+    markers  (8, 3) float64, mm, 100 Hz: x to the right, y forwards, z up; with `pelvis` (12, 3)
 
     A foot is farthest before its hip at touch-down, and farthest behind it at lift-off. Sample i is the same whenever and in whatever
     chunks it is made.
@@ -38,6 +41,7 @@ class Walkway(PacedSource):
 
     speed_m_s: float = param(1.2, above=0.2, most=2.5, help="walking speed")
     cadence_per_min: float = param(55.0, least=30, most=90, help="strides per minute")
+    pelvis: bool = param(False, help="markers as for joint angles: on the pelvis instead of the hips, and on the heels")
     seed: int = param(0, least=0, help="another seed, another walk")
     duration_s: float = param(20.0, least=0, help="how long; 0: until stopped")
 
@@ -46,11 +50,11 @@ class Walkway(PacedSource):
         return 1 / MARKERS_HZ
 
     def specs(self) -> Specs:
-        made = {"simulated": True}
+        made, names = {"simulated": True}, PELVIS_AND_LEGS if self.pelvis else MARKERS
         placed = {**made, "axes": Axes("z", "y").facts()}
         return {
             "emg": StreamSpec((4,), rate_hz=EMG_HZ, channels=MUSCLES, units=("mV",), meta=made),
-            "markers": StreamSpec((8, 3), rate_hz=MARKERS_HZ, channels=MARKERS, units=("mm",), meta=placed),
+            "markers": StreamSpec((len(names), 3), rate_hz=MARKERS_HZ, channels=names, units=("mm",), meta=placed),
         }
 
     def read(self, feed: Feed) -> None:
@@ -78,7 +82,7 @@ class WalkwayTrial:
         self._right, self._left = Signal(walker), Signal(walker)
         self._share = walker.stance_percent / 100
         self._half = round(EMG_HZ * 30.0 / walkway.cadence_per_min)
-        self._speed_mm_s = walkway.speed_m_s * 1000
+        self._speed_mm_s, self._pelvis = walkway.speed_m_s * 1000, walkway.pelvis
 
     def emg(self, index: Indices) -> Samples:
         """(n, 4) mV."""
@@ -87,12 +91,20 @@ class WalkwayTrial:
         return np.hstack([left, self._right.read(start, stop)[0]]) / 1000
 
     def markers(self, index: Indices) -> Samples:
-        """(n, 8, 3) mm."""
+        """(n, 8, 3) mm; with the pelvis (n, 12, 3)."""
         legs = [
             self._leg(index, self._left.phase(index + self._half) % 1, -90.0),
             self._leg(index, self._right.phase(index) % 1, 90.0),
         ]
-        return np.concatenate(legs, axis=1)
+        if not self._pelvis:
+            return np.concatenate(legs, axis=1)
+        middle = (legs[0][:, 0] + legs[1][:, 0]) / 2
+        spines = [middle + np.array(at) for at in ((-120, 100, 70), (120, 100, 70), (-50, -90, 80), (50, -90, 80))]
+        heels = [leg[:, 2] + np.array([0.0, -60.0, -50.0]) for leg in legs]
+        feet = [
+            np.stack([*leg[:, 1:3].swapaxes(0, 1), heel, leg[:, 3]], 1) for leg, heel in zip(legs, heels, strict=True)
+        ]
+        return np.concatenate([np.stack(spines, axis=1), *feet], axis=1)
 
     def touchdowns(self, start: int, stop: int, side: str) -> Indices:
         """The truth: samples at which a foot meets the ground."""

@@ -109,6 +109,7 @@ class Cycles(Operator[CyclesState]):
             raise ParameterError("shortest_s", self.shortest_s, f"at least one sample, {1 / rate_hz:g} s")
         n = spec.shape[0]
         names = list(spec.channels or [f"channel {i + 1}" for i in range(n)])
+        _check_names(names)
         keep = int((self.longest_s + self.late_s + spec.settling_s + self.gap_s) * rate_hz * 1.1) + 8
         state = CyclesState(
             recent=RecentSamples.of(keep, n),
@@ -243,6 +244,15 @@ class Cycles(Operator[CyclesState]):
         reason = signal_reason(time, onset, s.recent.began, s.settling, round(s.period + self.gap_s * NS))
         enough = len(time) > 3 and int(time[1]) <= onset and int(time[-2]) > end
         return reason or ("" if enough and stamp - end <= told_ns else "incomplete")
+
+
+def _check_names(names: list[str]) -> None:
+    """Raises InputError where two channels would have one name in events, which have room for 16 characters."""
+    short: dict[str, str] = {}
+    for name in names:
+        if (other := short.setdefault(name[:16], name)) != name:
+            differ = "names that differ in their first 16 characters: cycles and reports know muscles by these"
+            raise InputError("signal", f"channels {other!r} and {name!r}", differ)
 
 
 def _checked_rate(specs: Specs) -> float:

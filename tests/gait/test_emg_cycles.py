@@ -364,3 +364,12 @@ def test_a_contact_that_bounces_does_not_shorten_the_next_cycle(bounce_ms: list[
                 closed += chunk.data[["onset", "end", "stance_pct", "rejected"]].tolist() if output == "closed" else []
         outcome[name] = closed
     assert len(outcome["clean"]) == 4 and outcome["bouncing"] == outcome["clean"]
+
+
+def test_muscles_that_events_could_not_tell_apart_are_refused() -> None:
+    """Events have room for 16 characters of a name: two longer ones that begin alike would be one muscle in every report."""
+    names = ("Tibialis anterior left", "Tibialis anterior right")
+    signal = StreamSpec((2,), rate_hz=100.0, channels=names, units=("uV",))
+    touchdown = StreamSpec((), np.dtype([("onset", "<i8")]), units=("ns",))
+    with pytest.raises(InputError, match="differ in their first 16 characters"):
+        Cycles().open({"signal": signal, "touchdown": touchdown})

@@ -124,7 +124,9 @@ class CycleTable(Outlet[CycleTableState, StreamSpec]):
 
 def _beside(state: CycleTableState, rows: Array, spec: StreamSpec) -> Array:
     """The rows to be shown: of several limbs, each one's latest, a muscle's over one another."""
-    limbs, muscles = dict(spec.meta.get("limbs") or {}), dict(spec.meta.get("muscles") or {})
+    room = rows.dtype["name"].itemsize // 4  # longer names are cut off in events
+    limbs = {limb: [name[:room] for name in mine] for limb, mine in dict(spec.meta.get("limbs") or {}).items()}
+    muscles = {name[:room]: muscle for name, muscle in dict(spec.meta.get("muscles") or {}).items()}
     limb = next((name for name, mine in limbs.items() if str(rows["name"][0]) in mine), "")
     if not limb:
         return rows
