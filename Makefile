@@ -98,8 +98,9 @@ dist: .venv/installed
 	@echo "making an environment in .venv and installing into it: a minute or two, once"
 	@$(PYTHON) -m venv .venv || { rm -rf .venv; echo "Python's venv module is needed (Debian: apt-get install python3-venv)" >&2; exit 1; }
 
+# Python compiles a module when it is first imported, and keeps it: all of them at once would take ten seconds before the first demo
 .venv/installed: .venv/bin/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable .
 	@touch $@
 
 .venv/installed-for-tests: .venv/bin/python pyproject.toml

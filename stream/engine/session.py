@@ -149,13 +149,14 @@ class Session:
 
     def compile(self) -> None:
         """Compile all that `run` compiles, for another time: nothing runs, no device is opened, the recording holds nothing."""
-        self._warm_up()
+        self._warm_up(compiles_only=True)
         self._open()
         self._close()
 
-    def _warm_up(self) -> None:
+    def _warm_up(self, *, compiles_only: bool = False) -> None:
         self.warming = True
-        warm_up(self.pipeline, lambda: self._stopping, Views([self._view] if self._view else []).starting)
+        report = Views([self._view] if self._view else []).starting
+        warm_up(self.pipeline, lambda: self._stopping, report, compiles_only=compiles_only)
         self.warming = False
 
     def in_hand(self) -> Call | None:

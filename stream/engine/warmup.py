@@ -25,6 +25,7 @@ from kinegraph.stream.engine.flow.merge import Merge
 from kinegraph.stream.engine.flow.metrics import Timing
 from kinegraph.stream.engine.pipeline import Pipeline, Stage
 from kinegraph.stream.errors import (
+    DeviceError,
     GraphError,
     Interrupted,
     KinegraphError,
@@ -46,9 +47,13 @@ log = structlog.get_logger(__name__)
 
 
 def warm_up(
-    pipeline: Pipeline, stopped: Callable[[], bool] = bool, report: CompilationReport = lambda text, over: None
+    pipeline: Pipeline,
+    stopped: Callable[[], bool] = bool,
+    report: CompilationReport = lambda text, over: None,
+    *,
+    compiles_only: bool = False,
 ) -> None:
-    """Compile (or load from the cache) all kernels of a graph, and the engine's own.
+    """Compile (or load from the cache) all kernels of a graph, and the engine's own; with `compiles_only` also without a device's library.
 
     `stopped` is asked between two nodes. Raises GraphError where an operator breaks its specs' promises, Interrupted once `stopped`: a
     compiler may turn Ctrl-C into another error, or swallow it.
@@ -63,7 +68,7 @@ def warm_up(
 
     with compiling_beside(tried(graph), stopped, report, meanwhile):
         _run_engine(graph)
-        _warm_up(pipeline, stopped)
+        _warm_up(pipeline, stopped, compiles_only)
 
 
 def tried(graph: Graph) -> set[type[Operator[Any]]]:
@@ -83,7 +88,7 @@ def _run_engine(graph: Graph) -> None:
                 overview_of(spec, "whole")
 
 
-def _warm_up(pipeline: Pipeline, stopped: Callable[[], bool]) -> None:
+def _warm_up(pipeline: Pipeline, stopped: Callable[[], bool], compiles_only: bool) -> None:
     seen: set[type[Any]] = set()
     graph = pipeline.graph
     for node in graph.nodes.values():
@@ -95,6 +100,9 @@ def _warm_up(pipeline: Pipeline, stopped: Callable[[], bool]) -> None:
                     node.part.prepare()
             except ParameterError as error:
                 raise GraphError(str(error), path=node.file or graph.path, line=node.line, node=node.name) from None
+            except DeviceError:
+                if not compiles_only:
+                    raise
         if not isinstance(node.part, Operator) or node.is_outlet:
             continue
         try:

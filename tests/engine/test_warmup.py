@@ -17,6 +17,7 @@ from kinegraph.stream.chunk import Chunk, Specs, StreamSpec
 from kinegraph.stream.cli.commands import logs
 from kinegraph.stream.engine.pipeline import Pipeline
 from kinegraph.stream.engine.warmup import warm_up
+from kinegraph.stream.errors import DeviceError
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
@@ -79,6 +80,17 @@ def test_what_is_said_of_made_up_samples_is_not_shown(set_up: bool, capsys: pyte
         assert "the camera was moved" in output.out + output.err
     finally:
         structlog.reset_defaults()
+
+
+def test_what_compiles_ahead_needs_no_library_of_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "bleak", None)
+    text = "nodes:\n  a: {use: devices.polar.Polar}\n  b: {use: tests.engine.test_warmup.TwoInputs, from: a.ecg}"
+    MET.clear()
+    with pytest.raises(DeviceError, match="bleak"):
+        warm_up(Pipeline(load_text(text)))
+    assert not MET
+    warm_up(Pipeline(load_text(text)), compiles_only=True)
+    assert MET["in"] >= 200
 
 
 def test_samples_after_the_last_event_are_met_too() -> None:
