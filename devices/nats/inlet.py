@@ -263,6 +263,10 @@ class _Reading:
         if reader.repeated > self._repeated:
             feed.problem("repeated, left out", reader.repeated - self._repeated)
             self._repeated = reader.repeated
+        if reader.before:
+            feed.tell("a session of the bed begins before the last one ended", samples=reader.before, bed=self._of.bed)
+            feed.problem("stamped before the last session's end", reader.before)
+            reader.before = 0
         if self._subscription.lost_disk > self._lost_disk:
             feed.problem("the server lost its disk", self._subscription.lost_disk - self._lost_disk)
             self._lost_disk = self._subscription.lost_disk

@@ -140,21 +140,24 @@ class StreamReader:
 
     discarded   samples that the server or the bed's spool no longer had
     repeated    samples that came a second time
+    before      samples of a new session of the bed that are stamped before the end of the last one, and left out
     ended       whether the bed's session has ended
     """
 
     def __init__(self, spec: StreamSpec, position: Position) -> None:
         self._spec, self.position = spec, position
         self.discarded = self.repeated = 0
-        self.ended = False
+        self.before = 0
+        self.ended = self._begins = False
 
     def read(self, sequence: int, session: str, body: bytes) -> list[Chunk]:
         """The new chunks of a message. Raises ValueError or struct.error where it is damaged."""
-        position, index, gap = self.position, table(body).first, 0
+        position, index, gap = self.position, table(body).first, -1 if self._begins else 0
         if session != position.session:
             if position.session:
-                gap, position.index = -1, -1
+                gap, position.index, self._begins = -1, -1, True
             position.session, self.ended = session, False
+        begins = self._begins
         chunks = []
         for chunk, *_ in decode(self._spec, body):
             n = len(chunk)
@@ -162,7 +165,10 @@ class StreamReader:
                 self.ended = True
                 chunk.until = max(position.until, int(chunk.time[-1]) if n else NEVER)
             old = int(np.searchsorted(chunk.time, position.until, "right")) if n else 0
-            self.repeated += old
+            if begins:  # the bed's clock was set back: the gap before this session says so
+                self.before += old
+            else:
+                self.repeated += old
             if chunk.until <= position.until or (n and old == n):
                 position.index = max(position.index, index + n)
                 index += n
@@ -175,6 +181,7 @@ class StreamReader:
             index = position.index = index + n
             position.until = chunk.until
             fresh = chunk.part(old, n) if old else chunk
+            self._begins = begins = False
             chunks.append(Chunk(fresh.time, fresh.data, fresh.until, add_lost(gap, fresh.lost)))
             gap = 0
         position.sequence = sequence

@@ -8,12 +8,14 @@ import shutil
 import threading
 import time
 import uuid
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import structlog
 from platformdirs import user_state_path
 
 from kinegraph.devices.nats import link as links
@@ -41,6 +43,10 @@ if TYPE_CHECKING:
     from kinegraph.stream.graph import Graph
     from kinegraph.stream.system.clock import SessionClock
 
+log = structlog.get_logger(__name__)
+
+NIGHTS_S = 60.0
+NIGHT = re.compile(r"[A-Za-z0-9_+-]+")
 STATUS_S = 5.0
 """How often a bed reports how it is; and an event at once, but not oftener than `NEWS_S`."""
 NEWS_S = 0.1
@@ -80,7 +86,8 @@ class StreamOutletRuntime:
         self.sender: MessageSender | None = None
         self.facts: dict[str, Any] = {}
         self.folder = ""
-        self.reported_s = 0.0
+        self.reported_s = self.looked_s = 0.0
+        self.nights: set[str] = set()
         self.dropped = 0
         self.changed = True
 
@@ -109,6 +116,7 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
     identifiers: dict[str, str] | None = param(
         None, help="facts of the session and text fields of events, with what replaces them"
     )
+    nights: str = param("", help="the folder of a night's log: a night that is over goes to the centre, too")
     pulse: str = param("", help="the stream that shows that the sensor works; left out: the first one with a rate")
 
     def open(self, specs: Specs) -> Specs:
@@ -241,6 +249,9 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
         """Publish how the bed is, if it is time; on the sender's thread."""
         runtime, now = self.runtime, time.monotonic()
         link, sender = runtime.link, runtime.sender
+        if self.nights and sender is not None and now - runtime.looked_s > NIGHTS_S:
+            runtime.looked_s = now
+            self._send_nights(sender)
         if link is None or sender is None or not link.there:
             return
         if not last and now - runtime.reported_s < (NEWS_S if runtime.changed else STATUS_S):
@@ -267,6 +278,32 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
             },
         }
         link.publish(subject(self.bed, "status"), dump(facts))
+
+    def _send_nights(self, sender: MessageSender) -> None:
+        """Nights of the log that are over, each once for each session."""
+        from kinegraph.devices.reports.night import archive
+
+        for folder, facts in archive.nights(Path(self.nights)):
+            if facts.closed and folder.name not in self.runtime.nights and NIGHT.fullmatch(folder.name):
+                self.runtime.nights.add(folder.name)
+                try:
+                    body = self._night(folder)
+                except (OSError, ValueError, KeyError) as error:
+                    log.warning("a night cannot be sent", night=folder.name, error=str(error))
+                    continue
+                if len(body) <= MOST_SAMPLE_BYTES:
+                    sender.fact(subject(self.bed, "facts", f"night.{folder.name}"), body)
+
+    def _night(self, folder: Path) -> bytes:
+        """A night's log, with its identifiers replaced."""
+        from kinegraph.devices.reports.night import archive
+
+        given = self.identifiers or {}
+        texts = {name: (folder / name).read_text(encoding="utf-8") for name in (archive.FACTS, archive.EPOCHS)}
+        kept = json.loads(texts[archive.FACTS])
+        kept["session"] = {name: text for name, text in given.items() if name in kept["session"]}
+        kept["sleeper"], kept["settings"] = given.get("sleeper", ""), []
+        return zlib.compress(json.dumps({**texts, archive.FACTS: json.dumps(kept)}).encode())
 
     async def _answer_clock(self, request: Any) -> None:
         await request.respond(json.dumps({"now": self.runtime.now()}).encode())

@@ -79,6 +79,10 @@ class MessageSender:
         with self._lock:
             return self._spool.waiting + len(self._memory)
 
+    def fact(self, subject: str, body: bytes) -> None:
+        """Store a further fact, or another value of one."""
+        self._facts[subject] = body
+
     @property
     def introduced(self) -> bool:
         """Whether the server has the facts."""

@@ -84,7 +84,13 @@ class Spool:
 
     def first(self) -> tuple[int, StreamMessage] | None:
         """The oldest message with its number; None where nothing waits."""
-        row = self._base.execute("SELECT * FROM message ORDER BY n LIMIT 1").fetchone() if self.waiting else None
+        if not self.waiting:
+            return None
+        try:
+            row = self._base.execute("SELECT * FROM message ORDER BY n LIMIT 1").fetchone()
+        except sqlite3.Error as error:
+            self.error = str(error)
+            return None
         return (row[0], StreamMessage(*row[1:])) if row else None
 
     def remove(self, number: int) -> None:

@@ -131,7 +131,7 @@ def webhook(url: str) -> Callable[[dict[str, Any]], bool]:
             {"Content-Type": "application/json", "Idempotency-Key": alarm["id"]},
         )
         with suppress(OSError, ValueError), urllib.request.urlopen(request, timeout=POST_S) as answer:
-            return 200 <= answer.status < 300
+            return bool(200 <= answer.status < 300)
         log.warning("the webhook does not take alarms", url=url.partition("?")[0])
         return False
 
@@ -141,7 +141,7 @@ def webhook(url: str) -> Callable[[dict[str, Any]], bool]:
 class MqttAlarms:
     """Publishes alarms to PREFIX/alarm/BED with QoS 2, and takes acknowledgements: an id at PREFIX/acknowledge."""
 
-    def __init__(self, broker: Any, acknowledge: Callable[[str], None], prefix: str = "kinegraph/ward") -> None:
+    def __init__(self, broker: Any, acknowledge: Callable[[str], object], prefix: str = "kinegraph/ward") -> None:
         from kinegraph.devices.mqtt.link import BrokerConnection
 
         self._prefix, self._acknowledge = prefix, acknowledge

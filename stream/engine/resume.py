@@ -54,9 +54,8 @@ def catch_up(
     for port in ports:
         if port.ended:
             port.watermark = clock.utc_ns - 1  # it had ended then; now it begins again
-        port.pending_gap = (
-            0 if port.supervisor.source.continues else -1
-        )  # also where the first chunks, which say so, come before the common start
+        # also where the first chunks, which say so, come before the common start
+        port.pending_gap = 0 if port.supervisor.source.continues else -1
     _hush(pipeline, lambda outlet: False)
     for edge in pipeline.edges.values():
         edge.promised = NEVER  # what had ended goes on

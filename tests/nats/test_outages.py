@@ -171,5 +171,6 @@ def test_a_reader_decides_by_stamps_what_is_new_and_by_the_index_what_is_missing
     # after a power cut the bed has forgotten samples that came here: the index is lower, the stamps are new
     (new,) = reader.read(5, "s", message(samples(30, 2), first=18))
     assert new.data[:, 0].tolist() == [30, 31] and new.lost == 0
-    (other,) = reader.read(6, "t", message(samples(40, 2), first=0, session="t"))
+    assert reader.read(6, "t", message(samples(31, 1), first=0, session="t")) == [] and reader.before == 1
+    (other,) = reader.read(7, "t", message(samples(40, 2), first=1, session="t"))
     assert other.lost == -1

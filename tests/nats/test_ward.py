@@ -1,0 +1,422 @@
+"""The ward: what a bed reports becomes a line, silence is noticed by its reason, alarms arrive once, graphs are rolled out and back."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import uvicorn
+
+from kinegraph.devices.nats.local_server import LocalServer
+from kinegraph.devices.nats.server import NatsServer
+from kinegraph.devices.page.access import Access
+from kinegraph.devices.ward.agent import Agent
+from kinegraph.devices.ward.alarms import AlarmBook, Deliveries, MqttAlarms, webhook
+from kinegraph.devices.ward.app import app_of, view_graph
+from kinegraph.devices.ward.beds import SILENT_S, Trouble, WardBed, attention
+from kinegraph.devices.ward.centre import Centre
+from kinegraph.devices.ward.command import _account
+from kinegraph.devices.ward.site import Site
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
+from kinegraph.stream.errors import KinegraphError
+from tests.support.browser import needs_browser
+from tests.support.command_line import Command
+from tests.support.live_browser import live_browser
+from tests.support.mosquitto import Mosquitto, eventually, free_port, listening
+from tests.support.nats_site import folders, samples, sending, server, vanish
+from tests.support.page_session import needs_page
+
+__all__ = ["folders", "server"]
+
+T = 1_767_000_000 * NS
+
+
+def stream(last_s: float = 0.0, samples: int = 1, **row: Any) -> dict[str, Any]:
+    return {"last": T + round(last_s * NS), "until": T, "samples": samples, "lost": 0, "row": row}
+
+
+def bed(name: str = "bed1", reported_s: float = 100.0, **streams: Any) -> WardBed:
+    status = {"streams": streams, "now": T, "free_bytes": 50 << 30, "pulse": "depth" if "depth" in streams else ""}
+    return WardBed(name, status, reported_s)
+
+
+@pytest.mark.parametrize(
+    ("streams", "line"),
+    [
+        ({"s": stream(state="sleep"), "p": stream(state="in"), "b": stream(rate=14.2)}, "asleep 14/min"),
+        ({"s": stream(state="wake"), "p": stream(state="in"), "b": stream(rate=None)}, "awake in bed"),
+        ({"s": stream(state="sleep"), "p": stream(-600, state="out")}, "out of bed for 10 min"),
+        ({"p": stream(state="in")}, "in bed"),
+        ({"x": stream(cause="fall")}, "fall"),
+        ({"x": stream(samples=7)}, "7 samples"),
+    ],
+)
+def test_a_beds_state_is_one_line(streams: dict[str, Any], line: str) -> None:
+    assert bed(**streams).row(101.0)["state"] == line
+
+
+def test_silence_is_noticed_by_its_reason_within_a_minute() -> None:
+    late = 100.0 + SILENT_S + 1
+    assert late < 160 and bed().silence(100.0 + SILENT_S - 1) is None
+    one = bed()
+    assert one.row(140.0)["state"] == "silent for 40 s: process or network gone"
+    one.agent, one.agent_s = {"running": False, "failed": True, "order": {}}, late
+    assert one.troubles(late)[0].kind == "process gone"
+    one.agent["running"] = True
+    assert one.troubles(late)[0].kind == "process hangs"
+    one.agent_s = 100.0
+    assert one.troubles(late)[0].kind == "network gone"
+    one.status["ended"] = True
+    one.agent = {}
+    assert one.troubles(late)[0].level == "note"
+    camera = bed(depth=stream(-38.0), s=stream(state="sleep"))
+    (trouble,) = camera.troubles(102.0)
+    assert (trouble.kind, trouble.text) == ("sensor gone", "no samples of depth for 40 s")
+    assert bed(depth=stream(-1.0)).troubles(101.0) == []
+
+
+def test_beds_that_need_attention_come_first_and_the_others_as_people_count() -> None:
+    beds = [bed(f"bed{n}", depth=stream()) for n in (10, 2, 1)]
+    beds += [bed("bed7", view=stream(what="moved")), bed("bed9", reported_s=0.0)]
+    assert [row["bed"] for row in attention([one.row(101.0) for one in beds])] == [
+        "bed9",
+        "bed7",
+        "bed1",
+        "bed2",
+        "bed10",
+    ]
+
+
+def test_an_alarm_is_raised_once_as_long_as_it_lasts_and_passed_on_once(tmp_path: Path) -> None:
+    book, got = AlarmBook(tmp_path / "a.sqlite"), []
+    refuses = True
+
+    def deliver(alarm: dict[str, Any]) -> bool:
+        if refuses:
+            return False
+        got.append(alarm["id"])
+        return True
+
+    gone = Trouble("alarm", "process gone", "silent for 20 s")
+    for second in range(5):
+        book.update("bed1", [gone, Trouble("note", "waiting", "…")], second)
+    deliveries = Deliveries(book, {"x": deliver})
+    deliveries.turn()
+    refuses = False
+    deliveries.turn()
+    deliveries.turn()
+    (alarm,) = book.open()
+    assert got == [alarm["id"]] and alarm["raised"] == 0
+    book.update("bed1", [], 6)
+    assert book.open()[0]["over"] == 6
+    assert book.acknowledge(alarm["id"], "nurse", 7) and not book.acknowledge(alarm["id"], "nurse", 8)
+    assert not book.acknowledge("absent", "nurse", 8) and book.open() == []
+    book.close()
+    again = AlarmBook(tmp_path / "a.sqlite")  # a ward that is started again passes nothing on a second time
+    again.update("bed1", [gone], 9)
+    Deliveries(again, {"x": deliver}).turn()
+    assert len(got) == 2 and len(again.open()) == 1
+    again.close()
+
+
+class Hook(BaseHTTPRequestHandler):
+    """Refuses the first request."""
+
+    got: ClassVar[list[tuple[str, Any]]] = []
+    asked = 0
+
+    def do_POST(self) -> None:
+        body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        Hook.asked += 1
+        self.send_response(503 if Hook.asked == 1 else 204)
+        self.end_headers()
+        if Hook.asked > 1:
+            Hook.got.append((self.headers["Idempotency-Key"], body["text"]))
+
+    def log_message(self, *_: object) -> None: ...
+
+
+def test_alarms_arrive_once_by_webhook_and_by_mqtt_and_are_acknowledged_there(tmp_path: Path) -> None:
+    from kinegraph.devices.mqtt.link import Broker
+
+    book, mosquitto = AlarmBook(tmp_path / "a.sqlite"), Mosquitto(tmp_path).start()
+    for kind in ("process gone", "disk"):
+        book.update(f"bed {kind}", [Trouble("alarm", kind, kind)], 1.0)
+    hook = HTTPServer(("127.0.0.1", 0), Hook)
+    threading.Thread(target=hook.serve_forever, daemon=True).start()
+    mqtt = MqttAlarms(Broker("127.0.0.1", mosquitto.port), lambda id: book.acknowledge(id, "mqtt", 2.0))
+    with listening(mosquitto.port) as client:
+        deliveries = Deliveries(book, {"hook": webhook(f"http://127.0.0.1:{hook.server_port}/"), "mqtt": mqtt.deliver})
+
+        def arrived() -> bool:
+            deliveries.turn()
+            return not book.due("hook") and not book.due("mqtt")
+
+        eventually(arrived)
+        deliveries.turn()
+        eventually(lambda: len([m for m in client.messages if "/alarm/" in m[0]]) == 2)
+        ids = [json.loads(text)["id"] for topic, text, _ in client.messages if "/alarm/" in topic]
+        client.client.publish("kinegraph/ward/acknowledge", ids[0], qos=1)
+        eventually(lambda: len(book.open()) == 1)
+    assert sorted(key for key, _ in Hook.got) == sorted(ids)
+    mqtt.stop()
+    mosquitto.stop()
+    hook.shutdown()
+    hook.server_close()
+    book.close()
+
+
+@pytest.fixture
+def centre(server: LocalServer, tmp_path: Path) -> Iterator[Centre]:
+    made = Centre(tmp_path / "ward", NatsServer(server.url))
+    assert made.link.wait(20)
+    yield made
+    made.stop()
+
+
+EVENT = StreamSpec((), np.dtype([("state", "U8")]))
+
+
+def test_a_bed_shows_itself_at_the_centre_with_its_clock_and_its_night(
+    server: LocalServer, centre: Centre, tmp_path: Path
+) -> None:
+    from kinegraph.devices.reports.night import archive
+
+    night = tmp_path / "nights" / "2026-11-27"
+    night.mkdir(parents=True)
+    facts = archive.Facts(
+        "2026-11-27",
+        T,
+        30.0,
+        closed=True,
+        session={"subject": "Ada Lovelace"},
+        numbers={"tst": 421.0, "se": 91.0, "end": T},
+    )
+    (night / archive.FACTS).write_text(json.dumps({**archive.asdict(facts), "version": archive.VERSION}))
+    (night / archive.EPOCHS).write_text(",".join(archive.COLUMNS) + "\n")
+    with sending(
+        "shown",
+        server,
+        specs={"x": EVENT},
+        nights=str(night.parent),
+        identifiers={"subject": "S07"},
+        clock_ahead_ns=-2 * NS,
+    ) as outlet:
+        outlet.process("x", Chunk(samples(0, 1).time, np.array([("sleep",)], EVENT.dtype), samples(0, 1).until))
+
+        def known() -> bool:
+            centre.turn()
+            one = centre.beds.get("shown")
+            return bool(
+                one
+                and one.status
+                and one.row(0.0)["streams"]["x"]["samples"]
+                and one.offset_s is not None
+                and one.night
+            )
+
+        eventually(known)
+        row = centre.state()["beds"][0]
+        assert (
+            row["state"] == "asleep" and row["night"].startswith("7") and row["offset_s"] == pytest.approx(2.0, abs=0.5)
+        )
+        kept = (centre.home / "nights" / "shown" / "2026-11-27" / archive.FACTS).read_text()
+        assert "S07" in kept and "Ada" not in kept
+        graph = json.loads(view_graph(centre, "shown"))
+        assert graph["nodes"]["x"]["stream"] == "x"
+        vanish(outlet)
+    centre.beds["shown"].status_s -= 30
+    centre.turn()
+    assert [one["kind"] for one in centre.state()["alarms"]] == ["silent"]
+
+
+@contextmanager
+def served(centre: Centre, token: str = "secret") -> Iterator[str]:
+    """The ward's server, without a process of its own."""
+    place = socket.socket()
+    place.bind(("127.0.0.1", 0))
+    place.listen()
+    port = place.getsockname()[1]
+    app = app_of(centre, Access(token, port))
+    made = uvicorn.Server(uvicorn.Config(app, log_config=None, lifespan="off", ws="websockets-sansio"))
+    thread = threading.Thread(target=made.run, args=([place],), daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        made.should_exit = True
+        thread.join(20)
+        place.close()
+
+
+def ask(url: str, body: object = None, token: str = "secret") -> tuple[int, Any]:
+    headers = {"Cookie": f"kinegraph-{url.split(':')[2].split('/')[0]}={token}", "Content-Type": "application/json"}
+    data = None if body is None else json.dumps(body).encode()
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, data, headers), timeout=20) as answer:
+            return answer.status, json.loads(answer.read())
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code, error.read().decode()
+
+
+def test_only_who_has_the_token_sees_the_ward_and_acknowledges(centre: Centre) -> None:
+    centre.beds["bed1"] = bed("bed1", reported_s=time.monotonic() - 60)
+    centre.turn()
+    with served(centre) as url:
+        assert ask(f"{url}/api/ward", token="other")[0] == 403
+        found = ask(f"{url}/api/ward")[1]
+        assert found["beds"][0]["level"] == "alarm"
+        (alarm,) = found["alarms"]
+        assert ask(f"{url}/api/alarms/{alarm['id']}/acknowledge", {"by": "nurse"}) == (200, {"acknowledged": True})
+        assert ask(f"{url}/api/ward")[1]["alarms"] == []
+        assert ask(f"{url}/api/orders", {"beds": ["absent"], "graph": "x"})[0] == 400
+        assert ask(f"{url}/api/beds/absent/open", {})[0] == 400
+
+
+def many(n: int) -> dict[str, WardBed]:
+    """Beds in every state that a ward may show."""
+    now, beds = time.monotonic(), {}
+    for k in range(1, n + 1):
+        streams = {
+            "s": stream(state="sleep" if k % 3 else "wake"),
+            "p": stream(state="in"),
+            "b": stream(rate=12.0 + k % 6),
+        }
+        if k % 9 == 0:
+            streams = {"p": stream(-60.0 * k, state="out")}
+        one = bed(f"bed{k}", reported_s=now - (1 if k % 20 else 45), **streams)
+        one.status |= {
+            "version": "0.1.0",
+            "graph": "bedside_sleep",
+            "digest": "5f0c9a12" if k % 7 else "aa31c0de",
+            "recording": "session",
+        }
+        one.status |= {"free_bytes": (10 + k) << 30} if k != 31 else {"free_bytes": 1 << 30}
+        one.offset_s, one.uncertainty_s, one.night = (
+            0.0013 * (k % 5),
+            0.0004,
+            f"{6 + k % 3}:{k % 60:02d} asleep, {80 + k % 15} %",
+        )
+        beds[one.name] = one
+    beds["bed14"].status["streams"]["view"] = stream(what="moved")
+    return beds
+
+
+@needs_page
+@needs_browser
+def test_60_beds_are_legible_in_a_browser_those_that_need_attention_first(centre: Centre, tmp_path: Path) -> None:
+    centre.beds = many(60)
+    centre.turn()
+    with served(centre) as url, live_browser(tmp_path / "browser") as browser:
+        browser.open(f"{url}/?token=secret", 1600, 1900)
+        browser.wait("document.querySelectorAll('table.beds tbody tr').length === 60")
+        first = browser.value(
+            "[...document.querySelectorAll('table.beds tbody th a')].slice(0, 6).map(a => a.textContent).join()"
+        )
+        assert first == "bed20,bed40,bed60,bed14,bed31,bed1"
+        assert browser.value("document.documentElement.scrollWidth <= innerWidth")
+        smallest = browser.value(
+            "Math.min(...[...document.querySelectorAll('table.beds td, table.beds th')].map(e => parseFloat(getComputedStyle(e).fontSize)))"
+        )
+        assert smallest >= 12
+        browser.picture(tmp_path / "ward-60-beds.png")
+        browser.value(
+            "[...document.querySelectorAll('.alarms button')].find(b => b.textContent === 'acknowledge all').click()"
+        )
+        browser.wait("!document.querySelector('.alarms')")
+        assert not browser.complaints
+
+
+STUB = """
+import sys, time
+command, text = sys.argv[1], open(next(a for a in sys.argv if a.endswith(".yaml"))).read()
+if command == "check":
+    sys.exit("node 'x': no such operator" if "wrong" in text else 0)
+if "breaks" in text:
+    sys.exit(4)
+time.sleep(600)
+"""
+
+
+def test_a_graph_is_rolled_out_watched_and_rolled_back(server: LocalServer, centre: Centre, tmp_path: Path) -> None:
+    stub, first = tmp_path / "stub.py", tmp_path / "first.yaml"
+    stub.write_text(STUB)
+    first.write_text("first")
+    agent = Agent("rolled", tmp_path / "home", NatsServer(server.url), command=(sys.executable, str(stub)), watch_s=0.3)
+    agent.use(first)
+    thread = threading.Thread(target=agent.serve)
+    thread.start()
+    try:
+        eventually(lambda: agent.running and "rolled" in centre.beds)
+        for graph, state in (("second", "done"), ("wrong", "refused"), ("breaks", "rolled back")):
+            id = centre.roll_out(["rolled"], {"graph": graph})
+            eventually(
+                lambda id=id, state=state: (
+                    centre.beds["rolled"].order == {**centre.beds["rolled"].order, "id": id, "state": state}
+                )
+            )
+        assert (tmp_path / "home" / agent.kept["graph"]).read_text() == "second"
+        eventually(lambda: agent.running)
+        order = centre.beds["rolled"].order
+        assert "ended within" in order["text"] and centre.beds["rolled"].row(0.0)["order"] == order
+        id = centre.roll_out(["rolled"], {"version": "9.9"})
+        eventually(
+            lambda: (
+                centre.beds["rolled"].order == {"id": id, "state": "refused", "text": "this bed installs no versions"}
+            )
+        )
+        with pytest.raises(KinegraphError, match="there is no bed absent"):
+            centre.roll_out(["absent"], {"back": True})
+    finally:
+        agent.stop()
+        thread.join(30)
+    assert not agent.running
+
+
+def test_a_sites_accounts_open_its_server_and_others_do_not(
+    kinegraph: Command, server: LocalServer, tmp_path: Path
+) -> None:
+    pytest.importorskip("cryptography")
+    port = free_port()
+    code, out, err = kinegraph("ward", "add", "bed1", "bed2", "--host", "127.0.0.2", "--port", port, "--home", "site")
+    # 127.0.0.2 counts as this machine: no certificate; a name of the network has one
+    assert code == 0 and "site/beds/bed1: copy this folder to bed1" in out, err
+    assert kinegraph("ward", "add", "bad.name", "--home", "site")[0] == 2
+    site = Site(tmp_path / "other", "ward.example", port)
+    site.add("bed1")
+    assert site.encrypted and site.beds == ("bed1",)
+    bed, account = _account(tmp_path / "other" / "beds" / "bed1" / "server.yaml")
+    assert (bed, account.user, account.url) == ("bed1", "bed1", f"tls://ward.example:{port}")
+    local = site.local_server().start()
+    try:
+        from kinegraph.devices.nats.link import Link
+
+        for one, opens in (
+            (NatsServer(f"tls://127.0.0.1:{port}", "bed1", account.password_file, ca_file=account.ca_file), True),
+            (site.server, True),
+        ):
+            link = Link(one, "test")
+            assert link.wait(20) is opens, link.error
+            link.close()
+    finally:
+        local.stop()
+
+
+def test_the_wards_words_for_what_is_missing(kinegraph: Command) -> None:
+    assert "name the beds to add" in kinegraph("ward", "add")[2]
+    assert "needs a graph and its account" in kinegraph("ward", "agent", "x.yaml")[2]
+    assert "holds no nights yet" in kinegraph("ward", "nights")[2]
+    assert "cannot be read as an account" in kinegraph("ward", "agent", "x.yaml", "--server", "absent.yaml")[2]
