@@ -24,7 +24,7 @@ from kinegraph.devices.nats.messages import (
     spec_text,
     subject,
 )
-from kinegraph.devices.nats.server import NatsServer, check_bed
+from kinegraph.devices.nats.server import NatsServer, account_of, check_bed
 from kinegraph.devices.nats.subscription import Received, Subscription
 from kinegraph.stream.chunk import NEVER, NS, Chunk, Specs, StreamSpec, empty
 from kinegraph.stream.errors import DeclarationError, DeviceError, ParameterError
@@ -66,7 +66,10 @@ class StreamInlet(Source):
 
     bed: str = param(help="what the other machine is called there")
     stream: str = param(help="what the stream is called at the outlet")
-    server: NatsServer = param(NatsServer(), help="the NATS server and the account there")
+    account: str = param(
+        "", help="a server.yaml with the server and the account, as `kinegraph ward` writes it into its folder"
+    )
+    server: NatsServer = param(NatsServer(), help="the NATS server and the account there, without `account`")
     spec: str = param("", help="a file with the stream's spec as JSON")
     start: Literal["continue", "all", "new"] = param(
         "continue",
@@ -84,9 +87,15 @@ class StreamInlet(Source):
     def live(self) -> bool:
         return False
 
+    @property
+    def at(self) -> NatsServer:
+        """The server and the account."""
+        return account_of(Path(self.account))[1] if self.account else self.server
+
     def specs(self) -> Specs:
         check_bed(self.bed)
-        self.server.check()
+        if not self.spec:
+            self.at.check()
         return {"out": self._declared(), "clock": StreamSpec((), CLOCK, units=("ns", "ns"))}
 
     @property
@@ -94,18 +103,16 @@ class StreamInlet(Source):
         return True
 
     def missing(self) -> str:
-        link = links.shared(self.server, "kinegraph")
+        link = links.shared(self.at, "kinegraph")
         try:
             return (
-                ""
-                if link.wait(LOOK_S)
-                else f"NATS server {self.server.url} does not answer ({link.error or 'no reason'})"
+                "" if link.wait(LOOK_S) else f"NATS server {self.at.url} does not answer ({link.error or 'no reason'})"
             )
         finally:
             links.release(link)
 
     def read(self, feed: Feed) -> None:
-        link = links.shared(self.server, "kinegraph")
+        link = links.shared(self.at, "kinegraph")
         try:
             while not link.wait(TURN_S):
                 if feed.stopped:
@@ -117,7 +124,7 @@ class StreamInlet(Source):
     # what the stream is --------------------------------------------------------------------------------------------------
 
     def _declared(self) -> StreamSpec:
-        kept = user_state_path("kinegraph") / "specs" / f"{digest_of(self.server.url)}.{self.bed}.{self.stream}.json"
+        kept = user_state_path("kinegraph") / "specs" / f"{digest_of(self.at.url)}.{self.bed}.{self.stream}.json"
         try:
             if self.spec:
                 return StreamSpec.from_json(json.loads(Path(self.spec).read_text(encoding="utf-8")))
@@ -131,13 +138,13 @@ class StreamInlet(Source):
             return StreamSpec.from_json(json.loads(kept.read_text(encoding="utf-8") if text is None else text))
         except (OSError, *DAMAGE):
             raise DeviceError(
-                f"nothing is known of stream {self.stream!r} of bed {self.bed!r} at {self.server.url}; start the bed's graph once,"
+                f"nothing is known of stream {self.stream!r} of bed {self.bed!r} at {self.at.url}; start the bed's graph once,"
                 " or name a file with `spec`"
             ) from None
 
     def _asked(self) -> str | None:
         """The spec as the server has it."""
-        link = links.shared(self.server, "kinegraph")
+        link = links.shared(self.at, "kinegraph")
         try:
             if not link.wait(LOOK_S):
                 return None
@@ -152,7 +159,7 @@ class StreamInlet(Source):
     def place(self) -> Path:
         """The file that remembers how far it has read."""
         folder = Path(self.position) if self.position else user_state_path("kinegraph") / "positions"
-        return folder / f"{digest_of(self.server.url)}.{self.bed}.{self.stream}.json"
+        return folder / f"{digest_of(self.at.url)}.{self.bed}.{self.stream}.json"
 
 
 class _Reading:
@@ -200,7 +207,7 @@ class _Reading:
             self._subscription.from_now()
             self._reader.position.index = -1
         feed.ready()
-        feed.identify("kinegraph bed", bed=of.bed, stream=of.stream, server=of.server.url)
+        feed.identify("kinegraph bed", bed=of.bed, stream=of.stream, server=of.at.url)
         try:
             while not feed.stopped and not (of.ends and self._reader.ended):
                 self._clock.ask()

@@ -28,7 +28,7 @@ from kinegraph.devices.nats.messages import (
     subject,
 )
 from kinegraph.devices.nats.sender import MessageSender
-from kinegraph.devices.nats.server import NatsServer, check_bed
+from kinegraph.devices.nats.server import NatsServer, account_of, check_bed
 from kinegraph.devices.nats.spool import Spool
 from kinegraph.stream.chunk import FOREVER, NEVER, Array, Chunk, Specs, StreamSpec
 from kinegraph.stream.data.state import pack
@@ -85,7 +85,7 @@ class StreamOutletRuntime:
         self.link: links.Link | None = None
         self.sender: MessageSender | None = None
         self.facts: dict[str, Any] = {}
-        self.folder = ""
+        self.bed = self.folder = ""
         self.reported_s = self.looked_s = 0.0
         self.nights: set[str] = set()
         self.dropped = 0
@@ -109,7 +109,12 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
     durable: ClassVar[bool] = True
     in_order: ClassVar[bool] = False
 
-    bed: str = param(help="what this machine is called at the centre: letters, digits, - and _; empty: nothing is sent")
+    account: str = param(
+        "", help="a server.yaml of `kinegraph ward add`, which names bed and server, so that one graph serves all beds"
+    )
+    bed: str = param(
+        "", help="what this machine is called at the centre, without `account`; both empty: nothing is sent"
+    )
     server: NatsServer = param(NatsServer(), help="the NATS server and the account there")
     spool: str = param("", help="the folder of what waits for the server; left out: one in the user's folder of states")
     spool_mb: float = param(1000.0, above=0.0, help="how much may wait there")
@@ -123,6 +128,8 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
         if self.bed:
             check_bed(self.bed)
             self.server.check()
+        elif self.account and Path(self.account).exists():
+            account_of(Path(self.account))
         for port, spec in specs.items():
             if spec.sample_bytes > MAX_SAMPLE_BYTES:
                 raise InputError(port, spec.describe(), f"samples of at most {MAX_SAMPLE_BYTES >> 10} KiB")
@@ -136,7 +143,9 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
     @property
     def undelivered(self) -> str:
         dropped = self.runtime.dropped
-        return f"the spool of {self.bed} was full: {dropped} messages are missing at the centre" if dropped else ""
+        return (
+            f"the spool of {self.runtime.bed} was full: {dropped} messages are missing at the centre" if dropped else ""
+        )
 
     def keep_time(self, clock: SessionClock) -> None:
         self.runtime.now = clock.now
@@ -156,20 +165,24 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
 
     def begin(self) -> None:
         runtime, state = self.runtime, self.state
-        if not self.bed:
+        if not self.bed and not self.account:
             return
+        runtime.bed, server = account_of(Path(self.account)) if self.account else (self.bed, self.server)
         state.session = state.session or uuid.uuid4().hex[:16]
         sent = json.loads(state.sent)
         for port, spec in runtime.specs.items():
             samples, until = sent.get(port, (0, NEVER))
-            runtime.gatherings[port] = Gathering(spec, subject(self.bed, "data", port), state.session, samples, until)
+            runtime.gatherings[port] = Gathering(
+                spec, subject(runtime.bed, "data", port), state.session, samples, until
+            )
         folder = Path(self.spool) if self.spool else user_state_path("kinegraph") / "spool"
         name = digest_of(" ".join(runtime.specs))
-        spool = Spool(folder / f"{self.bed}.{name}.sqlite", round(self.spool_mb * 1e6))
-        runtime.link = links.shared(self.server, f"kinegraph {self.bed}", f"_INBOX_{self.bed}")
-        runtime.link.subscribe(subject(self.bed, "ask", "clock"), self._answer_clock)
+        spool = Spool(folder / f"{runtime.bed}.{name}.sqlite", round(self.spool_mb * 1e6))
+        runtime.link = links.shared(server, f"kinegraph {runtime.bed}", f"_INBOX_{runtime.bed}")
+        runtime.link.subscribe(subject(runtime.bed, "ask", "clock"), self._answer_clock)
         facts = {
-            subject(self.bed, "facts", f"spec.{port}"): spec_text(spec).encode() for port, spec in runtime.specs.items()
+            subject(runtime.bed, "facts", f"spec.{port}"): spec_text(spec).encode()
+            for port, spec in runtime.specs.items()
         }
         runtime.sender = MessageSender(runtime.link, spool, facts, self._due, self._report)
         runtime.sender.saved = runtime.saved
@@ -263,7 +276,7 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
             free = -1
         facts = {
             **runtime.facts,
-            "bed": self.bed,
+            "bed": self.runtime.bed,
             "now": runtime.now(),
             "ended": last,
             "free_bytes": free,
@@ -277,7 +290,7 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
                 for port, n in runtime.news.items()
             },
         }
-        link.publish(subject(self.bed, "status"), dump(facts))
+        link.publish(subject(self.runtime.bed, "status"), dump(facts))
 
     def _send_nights(self, sender: MessageSender) -> None:
         """Nights of the log that are over, each once for each session."""
@@ -292,7 +305,7 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
                     log.warning("a night cannot be sent", night=folder.name, error=str(error))
                     continue
                 if len(body) <= MOST_SAMPLE_BYTES:
-                    sender.fact(subject(self.bed, "facts", f"night.{folder.name}"), body)
+                    sender.fact(subject(self.runtime.bed, "facts", f"night.{folder.name}"), body)
 
     def _night(self, folder: Path) -> bytes:
         """A night's log, with its identifiers replaced."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import re
 import ssl
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.errors import KinegraphError, ParameterError
+from kinegraph.stream.params import build
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 INSTALL = "pip install 'kinegraph[nats]'"
@@ -65,3 +66,20 @@ def check_bed(bed: str) -> None:
     """Raises ParameterError for a name that cannot be part of a subject."""
     if not NAME.fullmatch(bed):
         raise ParameterError("bed", bed, "a name of letters, digits, - and _")
+
+
+def account_of(file: Path) -> tuple[str, NatsServer]:
+    """The bed and the server that a server.yaml of `kinegraph ward add` names; its files lie beside it. Raises KinegraphError."""
+    from kinegraph.stream.graph.reading.yaml_lines import parse
+
+    try:
+        found = parse(file.read_text(encoding="utf-8"), str(file)).plain()
+        bed, server = str(found.get("bed", "centre")), build(NatsServer, found["server"])
+    except (OSError, KeyError, TypeError, AttributeError) as error:
+        raise KinegraphError(f"{file}: cannot be read as an account ({error}); kinegraph ward add writes one") from None
+    check_bed(bed)
+    for name in ("password_file", "nkey_file", "ca_file"):
+        if value := getattr(server, name):
+            server = replace(server, **{name: str((file.parent / value).absolute())})
+    server.check()
+    return bed, server

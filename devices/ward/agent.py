@@ -82,6 +82,13 @@ class Agent:
         if not self.kept["graph"]:
             self._keep(graph=self._stored(text))
 
+    def adopt(self, account: Path) -> None:
+        """Copy the account beside the graphs: `account: server.yaml` in them is this bed's, whichever bed they are rolled out to."""
+        for name in ("server.yaml", "password", "ca.pem"):
+            there = account.with_name(name) if name != "server.yaml" else account
+            if there.exists() and there.absolute() != self.home / name:
+                write_complete(self.home / name, there.read_bytes())
+
     def serve(self) -> None:
         """Until `stop`."""
         try:

@@ -11,7 +11,6 @@ import typer
 from kinegraph.stream.cli.commands.page_options import NoToken, PageFor
 
 if TYPE_CHECKING:
-    from kinegraph.devices.nats.server import NatsServer
     from kinegraph.devices.ward.alarms import MqttAlarms
     from kinegraph.devices.ward.centre import Centre
 
@@ -41,7 +40,7 @@ def ward(
     host: Annotated[
         str, typer.Option(help="add, serve: how beds reach this machine; other than 127.0.0.1: encrypted")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="of the NATS server")] = 4222,
+    port: Annotated[int, typer.Option(help="of the NATS server")] = 4223,
     server: Annotated[
         str, typer.Option(metavar="FILE", help="a server.yaml: the account at a server that is there already")
     ] = "",
@@ -109,6 +108,7 @@ def _serve(
 ) -> None:
     import asyncio
 
+    from kinegraph.devices.nats.server import account_of
     from kinegraph.devices.page.address import parsed
     from kinegraph.devices.page.serving import refuse_unbuilt
     from kinegraph.devices.ward.alarms import Deliveries, webhook
@@ -121,7 +121,7 @@ def _serve(
     site = None if server else Site(home, host, port)
     local = site.local_server().start() if site else None
     try:
-        centre = Centre(home, site.server if site else _account(Path(server))[1], beds=site.beds if site else ())
+        centre = Centre(home, site.server if site else account_of(Path(server))[1], beds=site.beds if site else ())
         receivers = {url: webhook(url) for url in webhooks}
         broker = _broker(mqtt, centre) if mqtt else None
         if broker:
@@ -155,10 +155,12 @@ def _agent(graph: Path, home: Path, account: Path, install: str) -> None:
     import shlex
     import signal
 
+    from kinegraph.devices.nats.server import account_of
     from kinegraph.devices.ward.agent import Agent
 
-    bed, server = _account(account)
+    bed, server = account_of(account)
     agent = Agent(bed, home.absolute(), server, install=shlex.split(install))
+    agent.adopt(account)
     agent.use(graph)
     signal.signal(signal.SIGTERM, lambda *_: agent.stop())
     signal.signal(signal.SIGINT, lambda *_: agent.stop())
@@ -167,14 +169,14 @@ def _agent(graph: Path, home: Path, account: Path, install: str) -> None:
 
 def _spec(home: Path, server: str, bed: str, stream: str) -> None:
     from kinegraph.devices.nats import link as links
-    from kinegraph.devices.nats.server import check_bed
+    from kinegraph.devices.nats.server import account_of, check_bed
     from kinegraph.devices.ward.site import Site
     from kinegraph.stream.errors import KinegraphError
     from kinegraph.stream.system.atomic_file import write_complete
     from kinegraph.stream.text.safe_text import say
 
     check_bed(bed)
-    link = links.Link(_account(Path(server))[1] if server else Site(home).server, "kinegraph ward spec")
+    link = links.Link(account_of(Path(server))[1] if server else Site(home).server, "kinegraph ward spec")
     try:
         if not link.wait(5.0):
             raise KinegraphError(f"the NATS server does not answer ({link.error or 'no reason'}); is the ward running?")
@@ -202,28 +204,6 @@ def _nights(home: Path) -> None:
     for folder in folders:
         say(f"\n{folder.name}")
         nights(path=folder)
-
-
-def _account(file: Path) -> tuple[str, NatsServer]:
-    """The bed and the server that a server.yaml names; its files lie beside it."""
-    from dataclasses import replace
-
-    from kinegraph.devices.nats.server import NatsServer, check_bed
-    from kinegraph.stream.errors import KinegraphError
-    from kinegraph.stream.graph.reading.yaml_lines import parse
-    from kinegraph.stream.params import build
-
-    try:
-        found = parse(file.read_text(encoding="utf-8"), str(file)).plain()
-        bed, server = str(found.get("bed", "centre")), build(NatsServer, found["server"])
-    except (OSError, KeyError, TypeError, AttributeError) as error:
-        raise KinegraphError(f"{file}: cannot be read as an account ({error}); kinegraph ward add writes one") from None
-    check_bed(bed)
-    for name in ("password_file", "nkey_file", "ca_file"):
-        if value := getattr(server, name):
-            server = replace(server, **{name: str((file.parent / value).absolute())})
-    server.check()
-    return bed, server
 
 
 DEFAULT_PORT = 7770

@@ -1,5 +1,6 @@
 """A site's folder: accounts of the server, what a bed needs to connect, certificates.
 
+server.yaml           the centre's own account, for graphs that read beds
 accounts.json         accounts with their passwords (private)
 server/               the nats-server's configuration and store
 beds/NAME/            what is copied to a bed: server.yaml, password, ca.pem
@@ -22,7 +23,8 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
 from kinegraph.stream.system.extras import optional
 
-PORT = 4222
+PORT = 4223
+"""Not 4222, where Debian's package starts a server of its own."""
 VALID = datetime.timedelta(days=3650)
 
 
@@ -44,6 +46,9 @@ class Site:
         if not self.accounts:
             self._add(CENTRE)
         write_complete(home / CENTRE, self.account(CENTRE).password)
+        ca = "  ca_file: certificate.pem\n" if self.encrypted else ""
+        text = f"server:\n  url: {self._url('127.0.0.1')}\n  user: {CENTRE}\n  password_file: {CENTRE}\n{ca}"
+        write_complete(home / "server.yaml", text)
 
     def account(self, name: str) -> Account:
         return next(one for one in self.accounts if one.name == name)

@@ -27,6 +27,7 @@ class JobEntry:
     rows       {output: rows}
     left_out   {output: why it is in no table}
     begin_ns   stamp of the recording's first input
+    graph, version, worker   the graph's hash, kinegraph's version, and which worker did it
     """
 
     key: str
@@ -43,6 +44,9 @@ class JobEntry:
     begin_ns: int = 0
     seconds: float = 0.0
     took_s: float = 0.0
+    graph: str = ""
+    version: str = ""
+    worker: str = ""
 
     def describe(self) -> str:
         """ "walks/s01 with smooth.cutoff_hz=6"."""

@@ -94,7 +94,8 @@ def _row(entry: JobEntry, facts: list[str]) -> dict[str, Any]:
         "status": entry.status,
     }
     row |= {"error": entry.error, "digest": entry.digest, "seconds": entry.seconds, "took_s": entry.took_s}
-    row |= {"left_out": json.dumps(record["left_out"])}
+    row |= {"left_out": json.dumps(record["left_out"]), "graph_digest": entry.graph}
+    row |= {"recording_digest": entry.recording.get("sha256", ""), "version": entry.version, "worker": entry.worker}
     return row | {
         f"session.{name}" if name in row else name: None if name not in entry.facts else str(entry.facts[name])
         for name in facts

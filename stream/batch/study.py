@@ -39,6 +39,7 @@ class BatchState:
     failed, incomplete   what failed, and what is of recordings that broke off, done now or before
     left_out  outputs that the graph records and that are in no table, with the reason
     seconds  of recordings replayed now
+    workers  jobs done now, by worker
     """
 
     jobs: int
@@ -48,6 +49,7 @@ class BatchState:
     incomplete: list[JobEntry] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0
+    workers: Counter[str] = field(default_factory=Counter)
 
     @property
     def finished(self) -> int:
@@ -56,6 +58,7 @@ class BatchState:
     def add(self, entry: JobEntry, now: bool) -> None:
         self.kept += not now
         self.made[entry.status] += now
+        self.workers.update([entry.worker] if now and entry.worker else [])
         self.seconds += entry.seconds if now else 0.0
         self.left_out |= entry.left_out
         if entry.failed:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import socket
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -21,6 +23,7 @@ from kinegraph.stream.errors import KinegraphError, RecordingError, explain
 from kinegraph.stream.graph import Edge, Graph
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.recording import Recording
+from kinegraph.stream.recording.format.versions import release
 from kinegraph.stream.system.atomic_file import complete, private_folder, write_complete
 from kinegraph.stream.system.file_permissions import is_foreign
 
@@ -74,12 +77,14 @@ def do(folder: Path, job: Job, *, digest: str = "") -> tuple[JobEntry, bool]:
         other = f"{folder} is another batch's now, with another graph or other options; nothing was written"
         return JobEntry(job.key, job.name, job.settings, "failed", "", error=other), True
     before = manifest.load(job.key)
-    facts: dict[str, Any] = {"key": job.key, "name": job.name, "settings": job.settings, "digest": ""}
+    facts: dict[str, Any] = {"key": job.key, "name": job.name, "settings": job.settings, "digest": "", "version": release()}
+    facts["worker"] = f"{socket.gethostname()}:{os.getpid()}"
     try:
         found = recording_digest(job.recording, before.recording if before else {})
         with Recording.open(job.recording) as recording:
             graph = common.graph(recording, job.settings)
             facts |= {"digest": job_digest(job, graph, found["sha256"]), "recording": found}
+            facts["graph"] = hashlib.sha256(graph.text.encode()).hexdigest()
             if before and before.digest == facts["digest"] and not (before.failed or common.again):
                 return before, False
             manifest.forget(job.key)

@@ -40,7 +40,9 @@ class Substitutes:
     @classmethod
     def of(cls, graph: Graph, streams: Mapping[str, RecordedStream]) -> Substitutes:
         """For a graph and the streams that were recorded of it."""
-        found = cls()
+        sources = [str(edge) for edge in _outputs(graph.sources)]
+        # another graph computed them, on the machine whose recording this is: here they are sources
+        found = cls(taken=[name for name in sources if name in streams and streams[name].role == "edge"])
         gone = {str(edge) for edge in _outputs(graph.sources) if _is_outline(streams, edge)}
         for node in graph.nodes.values():
             lacks = [str(edge) for edge in node.inputs.values() if str(edge) in gone]

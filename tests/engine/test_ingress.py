@@ -372,7 +372,7 @@ def test_times_in_numpys_integers_can_be_checkpointed(tmp_path: Path, monkeypatc
 
 def test_a_stream_that_has_gone_stale_is_reported_once_until_it_comes_back() -> None:
     options, queue = SimpleNamespace(stale_s=2.0, patience_s=0.5), SimpleNamespace(policy="block", depth=0, name="emg")
-    source, node = SimpleNamespace(background=False), SimpleNamespace(options=options)
+    source, node = SimpleNamespace(background=False, continues=False), SimpleNamespace(options=options)
     runner: Any = SimpleNamespace(live=True, queues={"out": queue}, node=node, source=source)
     edge: Any = SimpleNamespace(readers=[1], spec=SPEC)
     port, output = IngressPort(runner, "out", edge), list[str]()

@@ -20,14 +20,13 @@ import pytest
 import uvicorn
 
 from kinegraph.devices.nats.local_server import LocalServer
-from kinegraph.devices.nats.server import NatsServer
+from kinegraph.devices.nats.server import NatsServer, account_of
 from kinegraph.devices.page.access import Access
 from kinegraph.devices.ward.agent import Agent
 from kinegraph.devices.ward.alarms import AlarmBook, Deliveries, MqttAlarms, webhook
 from kinegraph.devices.ward.app import app_of, view_graph
 from kinegraph.devices.ward.beds import SILENT_S, Trouble, WardBed, attention
 from kinegraph.devices.ward.centre import Centre
-from kinegraph.devices.ward.command import _account
 from kinegraph.devices.ward.site import Site
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.errors import KinegraphError
@@ -398,7 +397,7 @@ def test_a_sites_accounts_open_its_server_and_others_do_not(
     site = Site(tmp_path / "other", "ward.example", port)
     site.add("bed1")
     assert site.encrypted and site.beds == ("bed1",)
-    bed, account = _account(tmp_path / "other" / "beds" / "bed1" / "server.yaml")
+    bed, account = account_of(tmp_path / "other" / "beds" / "bed1" / "server.yaml")
     assert (bed, account.user, account.url) == ("bed1", "bed1", f"tls://ward.example:{port}")
     local = site.local_server().start()
     try:

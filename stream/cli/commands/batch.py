@@ -125,6 +125,8 @@ def _shown(total: int, quiet: bool) -> Iterator[Callable[[BatchState], None]]:
 
         def progress(tally: BatchState) -> None:
             failed = f", {len(tally.failed)} failed" if tally.failed else ""
-            shown.update(task, completed=tally.finished, description=f"batch{failed}")
+            done = " ".join(str(n) for _, n in sorted(tally.workers.items())[:SHOWN])
+            each = f", by worker {done}" if len(tally.workers) > 1 else ""
+            shown.update(task, completed=tally.finished, description=f"batch{failed}{each}")
 
         yield progress
