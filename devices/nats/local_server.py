@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import socket
@@ -18,6 +19,7 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
 
 STARTED_S = 20.0
+PID = "nats.pid"
 CENTRE = "centre"
 """The account of the centre, which may do everything."""
 
@@ -116,11 +118,14 @@ class LocalServer:
 
     def start(self) -> LocalServer:
         """Start it, and wait until it answers. Raises KinegraphError."""
-        log = (self.folder / "nats.log").open("ab")
-        with log:
+        self._end_orphan()
+        with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
+            raise KinegraphError(f"another program listens at port {self.port}; end it, or choose another --port")
+        with (self.folder / "nats.log").open("ab") as log:
             self._process = subprocess.Popen(
                 [program(), "-c", str(self.folder / "nats.conf")], stdout=log, stderr=log, start_new_session=True
             )
+        write_complete(self.folder / PID, str(self._process.pid))
         until = time.monotonic() + STARTED_S
         while time.monotonic() < until and self._process.poll() is None:
             with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1) as there:
@@ -129,6 +134,16 @@ class LocalServer:
             time.sleep(0.01)
         self.stop()
         raise KinegraphError(f"nats-server does not start; {self.folder / 'nats.log'} holds why")
+
+    def _end_orphan(self) -> None:
+        """End the server of a process of ours that was killed; what it has stored stays."""
+        with suppress(OSError, ValueError):
+            number = int((self.folder / PID).read_text(encoding="utf-8"))
+            if str(self.folder / "nats.conf").encode() in Path(f"/proc/{number}/cmdline").read_bytes():
+                os.kill(number, signal.SIGTERM)
+                until = time.monotonic() + STARTED_S
+                while Path(f"/proc/{number}/cmdline").read_bytes() and time.monotonic() < until:
+                    time.sleep(0.02)
 
     def kill(self) -> None:
         """As a power cut does."""

@@ -81,13 +81,13 @@ def ward(
 
 
 def _add(home: Path, host: str, port: int, beds: list[str]) -> None:
-    from kinegraph.devices.ward.site import Site
+    from kinegraph.devices.ward.site import WardSite
     from kinegraph.stream.errors import KinegraphError
     from kinegraph.stream.text.safe_text import say
 
     if not beds:
         raise KinegraphError("name the beds to add: kinegraph ward add bed1 bed2")
-    site = Site(home, host, port)
+    site = WardSite(home, host, port)
     for bed in beds:
         say(f"{site.add(bed)}: copy this folder to {bed}")
     site.local_server()
@@ -114,11 +114,11 @@ def _serve(
     from kinegraph.devices.ward.alarms import Deliveries, webhook
     from kinegraph.devices.ward.app import serve
     from kinegraph.devices.ward.centre import Centre
-    from kinegraph.devices.ward.site import Site
+    from kinegraph.devices.ward.site import WardSite
 
     refuse_unbuilt()
     address = parsed(at or f":{DEFAULT_PORT}", no_token=no_token)
-    site = None if server else Site(home, host, port)
+    site = None if server else WardSite(home, host, port)
     local = site.local_server().start() if site else None
     try:
         centre = Centre(home, site.server if site else account_of(Path(server))[1], beds=site.beds if site else ())
@@ -170,13 +170,13 @@ def _agent(graph: Path, home: Path, account: Path, install: str) -> None:
 def _spec(home: Path, server: str, bed: str, stream: str) -> None:
     from kinegraph.devices.nats import link as links
     from kinegraph.devices.nats.server import account_of, check_bed
-    from kinegraph.devices.ward.site import Site
+    from kinegraph.devices.ward.site import WardSite
     from kinegraph.stream.errors import KinegraphError
     from kinegraph.stream.system.atomic_file import write_complete
     from kinegraph.stream.text.safe_text import say
 
     check_bed(bed)
-    link = links.Link(account_of(Path(server))[1] if server else Site(home).server, "kinegraph ward spec")
+    link = links.Link(account_of(Path(server))[1] if server else WardSite(home).server, "kinegraph ward spec")
     try:
         if not link.wait(5.0):
             raise KinegraphError(f"the NATS server does not answer ({link.error or 'no reason'}); is the ward running?")

@@ -28,7 +28,7 @@ PORT = 4223
 VALID = datetime.timedelta(days=3650)
 
 
-class Site:
+class WardSite:
     """The folder of a site with a server of its own."""
 
     def __init__(self, home: Path, host: str = "127.0.0.1", port: int = PORT) -> None:

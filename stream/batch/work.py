@@ -77,7 +77,13 @@ def do(folder: Path, job: Job, *, digest: str = "") -> tuple[JobEntry, bool]:
         other = f"{folder} is another batch's now, with another graph or other options; nothing was written"
         return JobEntry(job.key, job.name, job.settings, "failed", "", error=other), True
     before = manifest.load(job.key)
-    facts: dict[str, Any] = {"key": job.key, "name": job.name, "settings": job.settings, "digest": "", "version": release()}
+    facts: dict[str, Any] = {
+        "key": job.key,
+        "name": job.name,
+        "settings": job.settings,
+        "digest": "",
+        "version": release(),
+    }
     facts["worker"] = f"{socket.gethostname()}:{os.getpid()}"
     try:
         found = recording_digest(job.recording, before.recording if before else {})

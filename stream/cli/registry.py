@@ -1,4 +1,4 @@
-"""The commands of `kinegraph`: fourteen at top level, the others in groups, and what other packages add to both."""
+"""The commands of `kinegraph`: fifteen at top level, the others in groups, and what other packages add to both."""
 
 from __future__ import annotations
 

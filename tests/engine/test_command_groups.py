@@ -1,4 +1,4 @@
-"""Commands are fourteen at top level and the others in groups; a former name leads to the present one; packages add to both."""
+"""Commands are fifteen at top level and the others in groups; a former name leads to the present one; packages add to both."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from tests.support.command_line import KINEGRAPH, Command, refused, shell
 TOP = {
     "demo",
     "lab",
+    "ward",
     "run",
     "replay",
     "check",
@@ -64,7 +65,7 @@ def listed(text: str) -> set[str]:
     return {line.split()[0] for line in text.splitlines() if re.match(r"  \S", line)}
 
 
-def test_help_lists_fourteen_commands_and_the_groups(kinegraph: Command) -> None:
+def test_help_lists_fifteen_commands_and_the_groups(kinegraph: Command) -> None:
     code, out, _ = kinegraph("--help")
     assert code == 0 and listed(out) == {*TOP, "emg", "sleep", "motion", "files", "dev"}
     assert {name for name in names() if " " not in name} == TOP

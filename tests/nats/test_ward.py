@@ -27,7 +27,7 @@ from kinegraph.devices.ward.alarms import AlarmBook, Deliveries, MqttAlarms, web
 from kinegraph.devices.ward.app import app_of, view_graph
 from kinegraph.devices.ward.beds import SILENT_S, Trouble, WardBed, attention
 from kinegraph.devices.ward.centre import Centre
-from kinegraph.devices.ward.site import Site
+from kinegraph.devices.ward.site import WardSite
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.errors import KinegraphError
 from tests.support.browser import needs_browser
@@ -394,7 +394,7 @@ def test_a_sites_accounts_open_its_server_and_others_do_not(
     # 127.0.0.2 counts as this machine: no certificate; a name of the network has one
     assert code == 0 and "site/beds/bed1: copy this folder to bed1" in out, err
     assert kinegraph("ward", "add", "bad.name", "--home", "site")[0] == 2
-    site = Site(tmp_path / "other", "ward.example", port)
+    site = WardSite(tmp_path / "other", "ward.example", port)
     site.add("bed1")
     assert site.encrypted and site.beds == ("bed1",)
     bed, account = account_of(tmp_path / "other" / "beds" / "bed1" / "server.yaml")
