@@ -304,7 +304,7 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
                 except (OSError, ValueError, KeyError) as error:
                     log.warning("a night cannot be sent", night=folder.name, error=str(error))
                     continue
-                if len(body) <= MOST_SAMPLE_BYTES:
+                if len(body) <= MAX_SAMPLE_BYTES:
                     sender.fact(subject(self.runtime.bed, "facts", f"night.{folder.name}"), body)
 
     def _night(self, folder: Path) -> bytes:

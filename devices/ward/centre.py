@@ -30,7 +30,7 @@ ORDER_S = 10.0
 """How often an order is repeated to a bed that has not taken it."""
 NIGHT = re.compile(r"[\w.+-]{1,64}")
 NIGHT_FILES = ("night.json", "epochs.csv")
-MOST_NIGHT_BYTES = 64 << 20
+MAX_NIGHT_BYTES = 64 << 20
 
 log = structlog.get_logger(__name__)
 
@@ -103,7 +103,7 @@ class Centre:
         """A night's log from a bed, into the folder of that bed's nights."""
         try:
             _, bed, _, _, name = where.split(".", 4)
-            files = json.loads(zlib.decompressobj().decompress(body, MOST_NIGHT_BYTES))
+            files = json.loads(zlib.decompressobj().decompress(body, MAX_NIGHT_BYTES))
             if not (NAME.fullmatch(bed) and NIGHT.fullmatch(name) and not name.startswith(".")):
                 return
             folder = private_folder(self.home / "nights" / bed / name)
