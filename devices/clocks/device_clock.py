@@ -110,13 +110,16 @@ class DeviceClock:
         bucket = device_ns // BUCKET_NS
         if self._bucket is None or bucket > self._bucket:
             self._bucket = bucket
+            # moving 120 numbers once a second costs less than a ring that the hull would have to unroll each time
             if self._n == WINDOW:
                 self._x[:-1], self._y[:-1] = self._x[1:], self._y[1:]
                 self._n -= 1
             self._n += 1
             self._lowest(device_ns, difference)
             self._fit()
+        # a packet of an older second came late: its difference is large, and cannot lower the line
         elif bucket == self._bucket:
+            # only what is below the line, or the lowest of its second, can change the hull: most packets are neither
             below = difference - self._zero < self._above(device_ns)
             if below or difference < self._least:
                 self._lowest(device_ns, difference)
@@ -160,8 +163,10 @@ class DeviceClock:
         if self._last is not None:
             device, stamp = self._before(int(device_ns[0]))
             if int(mapped[0]) <= stamp + max(int(SLEW * (int(device_ns[0]) - device)), 1) + ROUNDED:
+                # the line has moved back: stamps creep on until the device's own time is ahead of them again
                 raised = stamp + np.maximum((SLEW * (device_ns - device)).astype(STAMP), 1)
                 order = np.arange(1, len(raised) + 1)
+                # what creeps on must not overtake the arrival, else a wrong line would feed on itself; 1 ns apart where it would
                 np.minimum(raised, self._arrival - len(raised) + order, out=raised)
                 np.maximum(raised, stamp + order, out=raised)
                 mapped = np.maximum(mapped, raised)
@@ -210,6 +215,7 @@ class DeviceClock:
         """Whether a packet claims to have been made so long after its arrival that the device's clock must have been set forward."""
         if not self._n:
             return False
+        # the first packets may have waited in a driver's buffer, so that everything after them seems early
         least = JUMP_NS if self._n >= SURE_FROM else UNSURE_NS
         return device_ns - arrival_ns + self._zero + self._above(device_ns) > least
 

@@ -102,6 +102,7 @@ class PacketClock:
             excess = self._excess(int(number[-1]), arrival_ns)
             if excess:
                 at = int(lost.argmax())
+                # an even number is taken off: on boards that take turns, odd and even packets hold different channels
                 excess += (int(number[-1]) - excess - int(counters[-1])) % 2
                 if at:
                     excess = min(excess, int(lost[at]) & ~1)
@@ -109,6 +110,7 @@ class PacketClock:
                 lost[at] = -1
             self._number, self._counter, self._arrival = int(number[-1]), int(counters[-1]), arrival_ns
             self._clock.see(round(self._made(self._number)), arrival_ns)
+            # the machine slept: the counter may have gone round any number of times
             lost[0] = lost[0] or -int(self._clock.take_gap())
         device = np.round(self._from_ns + (number - self._from_number) * self._period).astype(np.int64)
         return Packets(kept, number, lost, device, self._clock.stamps(device))
@@ -142,6 +144,7 @@ class PacketClock:
         if self._counter < 0:
             return 1
         step = (counter - self._counter) % self._range
+        # packets that follow in the same read were made later than this one, though all have one arrival
         elapsed = (arrival_ns - self._arrival) / self._period - following
         turns = max(0, round((elapsed - step) / self._range))
         return step + turns * self._range

@@ -133,6 +133,7 @@ class SerialTransport(ClosesAtExit):
             self._port = serial.Serial(port, baud, timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             raise DeviceError(f"serial port {port} cannot be opened: {_hint(error)}") from None
+        # FTDI chips hold bytes back for 16 ms by default, which would be the jitter of every packet; other drivers refuse
         with suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
         self._by_descriptor = _has_descriptor(self._port)
@@ -144,6 +145,7 @@ class SerialTransport(ClosesAtExit):
             port = self._port.fileno()
             if not select.select([port], [], [], timeout_s)[0]:
                 return b""
+            # by the descriptor: pyserial's read waits for all bytes asked for, or calls the system twice
             data = os.read(port, MAX)
         except (OSError, ValueError, TypeError) as error:
             raise DeviceError(
@@ -191,6 +193,7 @@ class TcpTransport(ClosesAtExit):
             raise DeviceError(
                 f"{address} cannot be reached: {error.strerror or error}; is the device's server running?"
             ) from None
+        # commands are few bytes; Nagle's algorithm would hold them back until the device answers
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def read(self, timeout_s: float) -> bytes:

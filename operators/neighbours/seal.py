@@ -19,6 +19,7 @@ SPREAD, RANK, COPY, COVER, SWAP = range(5)
 @kernel
 def begin_sealing(ix: BareIndex, block: int) -> None:
     """Begin with a block that has just been filled (and end what is under way, which by then is done: see layout's pace)."""
+    # normally over by now; a block that fills faster than the pace must not overwrite one under way
     while ix.sealing >= 0:
         seal_step(ix)
     for i in range(ix.block):
@@ -65,6 +66,7 @@ def member(ix: BareIndex, i: int) -> int:
 def find_axis(ix: BareIndex) -> None:
     """Which feature spreads most within the part: a few features in each step. Then its values become the keys."""
     width, start, size, keys = ix.width, ix.part_from, ix.part_size, ix.values
+    # so many features that a step costs the same whatever the part's size: no frame pays for a whole sort
     stop = min(width, ix.part_done + max(1, SPREAD_WORK // size))
     for feature in range(ix.part_done, stop):
         low, high = math.inf, -math.inf
@@ -92,9 +94,11 @@ def rank(ix: BareIndex) -> None:
     start, size = ix.part_from, ix.part_size
     keys = ix.values
     stop = min(size, ix.part_done + max(1, RANK_WORK // size))
+    # ranking by counting is quadratic, but needs no memory and can be left and taken up at any frame
     for i in range(ix.part_done, stop):
         key = keys[i]
         before = 0
+        # <= before and < after it: equal keys keep their order, so results do not depend on the pace
         for j in range(i):
             before += keys[j] <= key
         for j in range(i + 1, size):
@@ -133,6 +137,7 @@ def copy_tile(ix: BareIndex) -> None:
         alive += ix.floats[at] == 0.0
     ix.alive[tile] = alive
     box = ix.group_boxes_at + tile // LANES * (1 + 2 * width) * LANES + tile % LANES
+    # an infinite first row puts a box without living frames beyond every limit: search needs no second test
     ix.floats[box] = 0.0 if alive else math.inf
     for feature in range(width):
         low, high = math.inf, -math.inf
@@ -185,6 +190,7 @@ def swap(ix: BareIndex) -> None:
     rows = (1 + 2 * ix.width) * LANES
     for k in range(groups):
         new, old = ix.spare * groups + k, ix.sealing * groups + k
+        # only now do searches see the copy; until here its lanes were infinite, and the old block answered
         if ix.group_alive[new]:
             ix.top_boxes[new // LANES * rows + new % LANES] = 0.0
         ix.top_boxes[old // LANES * rows + old % LANES] = math.inf

@@ -41,6 +41,7 @@ def search(ix: BareIndex, at: int, band: int, k: int, within: np.float32, both: 
     put_in_order(ix, k)
     if ix.near_count:
         warm, near = ix.warm, ix.near
+        # the next query is mostly the next frame: what follows these nearest is near to it, and gives a tight limit at once
         for i in range(ix.near_count):
             warm[i] = near[i]
         ix.warm_count, ix.warm_frame = ix.near_count, at
@@ -60,6 +61,7 @@ def visit(ix: BareIndex, at: int, band: int, k: int, within: np.float32, both: b
         ix.plain -= 1
         return marked + visit_all(ix, limit, at, band, k, within, both)
     found, looked = visit_boxes(ix, limit, at, band, k, within, both)
+    # the boxes exclude hardly anything in such data: comparing them is work for nothing, for a while
     if looked * LANES > MOST_SURVIVE * min(ix.window, ix.next - ix.since):
         ix.plain = PLAIN_FOR
     return marked + found
@@ -88,6 +90,7 @@ def visit_successors(
         stands = table[stands - turns if stands >= turns else stands]
         slot = places[(stands << bits) + (frame & mask)]
         tile = slot >> 4
+        # several successors often lie in one tile, which is summed up once
         if seen[tile] != query:
             seen[tile] = query
             known[tile] = sums + tiles * LANES
@@ -116,6 +119,7 @@ def visit_successors(
 @kernel
 def sum_up(ix: BareIndex, near: Times, tiles: int, sums: int) -> None:
     """Writes all sums of the tiles numbered by the start of `near` at place `sums`; four at a time, the last ones once more."""
+    # four at a time keep the processor's adders busy; the last tile is repeated instead of a loop of its own
     for i in range(0, tiles, 4):
         a, b = near[i], near[min(i + 1, tiles - 1)]
         c, d = near[min(i + 2, tiles - 1)], near[min(i + 3, tiles - 1)]
@@ -139,6 +143,7 @@ def visit_boxes(
             groups &= groups - 1
             group = top * LANES + lane
             own = max(within, ix.group_reach[group]) if both else within
+            # the limit has shrunk since the boxes were compared: look again before going in
             if ix.floats[top_sums + lane] > max(limit, own):
                 continue
             tiles = box_distances(ix, ix.group_boxes_at + group * stride, max(limit, own), group_sums)

@@ -335,6 +335,7 @@ class Ingress:
                 with self.turn.lock:
                     self.enter_together(port)
                     self._slot.port = None
+            # a source that falls silent in a burst leaves chunks behind that nobody else would bring in
             timeout_s = min(timeout_s, GATHERED_NS / NS)
         if self._put_aside:
             queue = self._put_aside.pop(0)
@@ -348,6 +349,7 @@ class Ingress:
             queue = token
         port = queue.owner
         with self.turn.lock:
+            # many wait: joined they cost one pass through the graph instead of one each
             if len(queue.waiting) >= BURST and isinstance(port, IngressPort) and port.may_join and self._start.done:
                 self.enter_together(port)
             elif (item := queue.take()) is None:
@@ -366,6 +368,7 @@ class Ingress:
 
     def enter(self, port: IngressPort, chunk: Chunk, arrival: int, joined: bool = False) -> int:
         """A source's chunk, or several `joined`, enters the graph, as far as it is admitted: how many ns all that it leads to took."""
+        # the usual case first: no generator is made for a chunk that enters alone
         if not self.time.followers or self.time.passes(port, chunk.until):
             return self._admit(port, chunk, arrival, joined)
         return sum(self._admit(*entry) for entry in self.time.entering(port, chunk, arrival))
@@ -500,8 +503,10 @@ def _inline(
 
     def take(chunk: Chunk, came: int) -> bool:
         nonlocal long, queue_until, count, worked, since
+        # cheap looks first, the lock last: a refused chunk goes to the queue and costs little there
         if came < queue_until or not turn.open:
             return False
+        # what waits came earlier, from this source or another: overtaking it would change the order in the log
         if queue.waiting or queue.pending_gap or not ready.empty():
             if len(queue.waiting) >= BURST:
                 burst(chunk, came)
@@ -509,6 +514,7 @@ def _inline(
         if supervisor.state != "running" or not acquire(False):
             return False
         try:
+            # asked again under the lock: the session may have closed while this thread waited for it
             if not turn.open:
                 return False
             queue.index += len(chunk.time)
@@ -522,9 +528,11 @@ def _inline(
             release()
         session_log.idle_hint()
         long, count, worked = long + 1 if work > LONG_NS else 0, count + 1, worked + work
+        # long work on the source's thread delays its reads, so the graph's own thread does it for a second
         if long == LONG_OFTEN:
             long, queue_until = 0, came + NS
         elif count == BURST:
+            # chunks came so fast that the source had hardly a pause between them: gather them
             if came - since - worked < BURST * SPARE_NS:
                 burst(chunk, came)
             count, worked, since = 0, 0, came

@@ -140,6 +140,7 @@ class _Feed:
         return self._supervisor.saved()
 
     def emit(self, chunk: Chunk, output: str = "out") -> None:
+        # the only way to end a driver that does not look at `stopped`: its next emit raises in its own thread
         if self._over:
             raise _StopReadingError
         supervisor = self._supervisor
@@ -147,8 +148,10 @@ class _Feed:
         sound = supervisor.sound.get(output)
         if sound is None or not sound(chunk):
             chunk = supervisor.mended(chunk, output)
+        # after the gate, which judges what the sender sent, and before any reader
         if output in supervisor.turned:
             chunk = Chunk(chunk.time, supervisor.turned[output].of(chunk.data), chunk.until, chunk.lost)
+        # what was missed while the source was closed is of unknown number, whatever the driver thinks
         if self._unmarked and len(chunk.time) and output in self._unmarked:
             self._unmarked.discard(output)
             chunk.lost = chunk.lost or -1
@@ -290,6 +293,7 @@ class SourceSupervisor:
         if there is False:
             self._absent = True
             return False
+        # plugged in again: somebody is waiting for it, so the pause of earlier failures is over
         if self._absent and there:
             self._absent, self._pause_s, self._retry_at = False, FIRST_PAUSE_S, now
         return now >= self._retry_at
@@ -398,6 +402,7 @@ class SourceSupervisor:
 
     def _failed(self, error: str) -> None:
         now = time.monotonic()
+        # it ran well for a while: this failure is a new one, and is retried soon
         if now - self._opened > STEADY_S:
             self._pause_s = FIRST_PAUSE_S
         self.error = error
@@ -434,6 +439,7 @@ class StartBarrier(Generic[P]):
         if self.done:
             return [(port, chunk, arrival)]
         source = supervisor.source
+        # a live device's samples of before the start are left out, but files would lose their beginning for good
         if self.ready or source.background or not supervisor.live:
             self._held.append((port, chunk, arrival))
         return self.release()

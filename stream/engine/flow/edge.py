@@ -167,6 +167,7 @@ class LiveEdge:
                 what = ends(chunk, self.promised, self.reached())
             if what:
                 raise PromiseError(self.origin.node, self.origin.output, what, chunk)
+        # an int, for a numpy integer here would make every later comparison slower
         self.promised = max(self.promised, int(chunk.until))
 
     def carry(self, chunk: Chunk, start: int) -> int:
@@ -197,6 +198,7 @@ class LiveEdge:
         if chunk.lost or self.pending_gap:
             chunk = self._with_lost(chunk)
         self.samples += len(chunk.time)
+        # kernels are compiled for one layout; another would compile them again in the middle of a session
         if not (chunk.data.flags.carray and chunk.time.flags.carray):
             chunk = _normal(chunk)
         for observe in self.observers:
@@ -206,6 +208,7 @@ class LiveEdge:
     def _with_lost(self, chunk: Chunk) -> Chunk:
         """Move a `lost` without samples to the next chunk that has some."""
         lost = add_lost(self.pending_gap, chunk.lost)
+        # a gap belongs to the sample after it: a chunk of none cannot carry it
         if not len(chunk.time):
             self.pending_gap = lost
             return Chunk(chunk.time, chunk.data, chunk.until, 0)

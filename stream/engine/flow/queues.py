@@ -94,6 +94,7 @@ class BoundedQueue:
         """Leave a chunk, behind what is gathered; waits, drops or fails as the policy says where the queue is full."""
         if self.gathered:
             self.leave_gathered()
+        # asked without the lock: one thread writes, and what is taken meanwhile only makes room
         if self.full and POLICIES[self.policy](self, chunk, arrival):
             return
         self._leave(chunk, arrival)
@@ -172,6 +173,7 @@ class BoundedQueue:
     def wait_for_room(self) -> None:
         """Hold up the writer until there is room, or the queue is closed."""
         while self.full and not self.closed:
+            # asked again after `clear`: a reader may have made room between the two, and its `set` is gone
             self._room.clear()
             if self.full:
                 self._room.wait(0.5)

@@ -54,6 +54,7 @@ class CompiledSegment:
             }
             names |= {f"note{i}": self._timed[i].append, "slot": port.slot}
         names |= {f"push{k}": push for k, push in enumerate(self.edges[-1].readers)}
+        # straight-line code for this row of operators: a loop with its look-ups took as long as light operators themselves
         exec(compile("\n".join(self._code.lines), f"<segment behind {edge.origin}>", "exec"), names)
         self.send: Push = names["send"]
 
@@ -96,6 +97,7 @@ class Code:
         self.checks_at: dict[int, int] = {}
         self._write("def send(c0, t0):", "    global due", *self._entry(), *self._passed(0, "    "), "    try:")
         if ports:
+            # clocks are read in one passage of several, as reading them costs about as much as a light operator
             self._write("        if t0 >= due:")
             self._passage(" " * 12, timed=True)
         self._passage(" " * 8, timed=False)
@@ -139,6 +141,7 @@ class Code:
         )
         carried = [*(f"        {line}" for line in noted), f"        return carry{b}(given, {end})"]
         self._same_arrays(i, carried, indent)
+        # operators that declare contiguous outputs are spared the look at the flags
         untidy = "" if self.ports[i].contiguous else " or not given.data.flags.carray"
         broken = self._broken(b, "given", f"c{i}.until")
         self._check(b, "    n = len(given.time)", indent)
@@ -175,6 +178,7 @@ class Code:
         if (before.shape, before.dtype) != (after.shape, after.dtype):
             self._write("if True:", indent=indent)
             return
+        # an edge may have promised more than the one before; only then can stamps that passed there be too old here
         behind = f" or p{b} > p{i} and n and given.time.item(0) <= p{b}" if self.edges[b].looks_at_ends else ""
         self._check(b, f"if given.time is c{i}.time and given.data is c{i}.data:", indent)
         self._check(b, f"    if given.lost or edge{b}.pending_gap or given.until < p{b}{behind}:", indent)

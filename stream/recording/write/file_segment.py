@@ -109,6 +109,7 @@ class FileSegment:
         self._check_place()
         self._writer.flush()  # type: ignore[no-untyped-call]
         while pieces := self._spool.pieces():
+            # the disk may take less than it is given: what it took is counted, the rest stays for the next try
             n = os.writev(self._file, pieces) if TOGETHER else os.write(self._file, pieces[0])
             self._spool.drop(n)
             self._written += n
@@ -120,12 +121,14 @@ class FileSegment:
         """Raises DisturbedError if another program has deleted, moved or cut the file: what is written now would be lost."""
         if not self.path.exists():
             raise DisturbedError(errno.ENOENT, "the file was deleted or moved", str(self.path))
+        # a write behind a cut would leave zeros in between, which no reader could tell from data
         if os.fstat(self._file).st_size < self._written:
             raise DisturbedError(errno.EIO, "another program has cut the file", str(self.path))
 
     def finish(self, summary: dict[str, Any], overviews: Mapping[str, bytes]) -> None:
         """Write the end: overviews of signals, counts per stream, the index, the footer. Raises OSError; it can be tried again."""
         if not self._finished:
+            # set first: a second try after a full disk must not write the end twice
             self._finished = True
             for name, packed_overview in overviews.items():
                 self._writer.add_attachment(0, 0, overview.NAME + name, overview.MEDIA_TYPE, packed_overview)
@@ -177,6 +180,7 @@ class _Records(RecordBuilder):
 
 def _join_once(writer: Writer) -> None:
     """Have the library's writer make its records as `_Records` do; one of another version that is built otherwise stays as it is."""
+    # private names of the library: where they are missing, its own slower way is used
     chunk = getattr(writer, "_Writer__chunk_builder", None)
     if hasattr(writer, "_Writer__record_builder") and hasattr(chunk, "record_writer"):
         vars(writer)["_Writer__record_builder"] = _Records()
