@@ -76,6 +76,7 @@ def insert(ix: BareIndex, good: bool, reach: np.float32) -> None:
         settle(ix, slot, reach)
     if ix.pace:
         for _ in range(ix.pace):
+            # a little of the sorting with every frame, so that no frame waits for a whole block's
             seal_step(ix)
         if (frame + 1) % block == 0:
             begin_sealing(ix, stands)
@@ -122,8 +123,10 @@ def forget(ix: BareIndex, frame: int) -> None:
     slot = slot_of(ix, frame)
     tile, lane = slot // LANES, slot % LANES
     row = tile_at(ix, tile) + lane
+    # it was bad, or has left already: counting it again would empty its tile too soon
     if ix.floats[row] == math.inf:
         return
+    # the box stays as wide as it was: shrinking it would cost a look at 15 others, and it only makes searches look in vain
     ix.floats[row] = math.inf
     group = slot // GROUP
     stride = (1 + 2 * ix.width) * LANES

@@ -51,6 +51,7 @@ class Stage:
             self.operator, opened = node.open(specs)
         self.edges = {name: LiveEdge(Edge(node.name, name), spec, slot, self.reached) for name, spec in opened.items()}
         for edge in self.edges.values():
+            # our operators are held to it by the laws in tests, so that sessions need not pay for the look
             edge.strict = not is_ours(self.operator)
         merged = len(specs) > 1 and getattr(self.operator, "in_order", True)
         self.merge = Merge(specs, self.operator.inputs) if merged else None
@@ -63,6 +64,7 @@ class Stage:
     def reached(self) -> int:
         """How far the inputs are: no output is ahead of that."""
         port, chunk = self.slot.port, self.slot.chunk
+        # while it closes, an operator may give what it held back, which no input's time limits
         if chunk is NOTHING or port is None or port.operator is not self.operator:
             return FOREVER  # it closes
         newest = chunk.time.item(-1) if len(chunk.time) else NEVER
@@ -102,6 +104,7 @@ class Stage:
         try:
             for name, chunk in emitted:
                 start = self.edges[name].send(chunk, start)
+        # a wrong shape is found sooner by the chunk's own check than by whatever it broke downstream
         except KinegraphError:
             raise
         except Exception as error:
@@ -193,6 +196,7 @@ class Pipeline:
         self.edges = {str(edge.origin): edge for edge in self._all_edges()}
         for edge in self.edges.values():
             readers = [(self.stages[n.name], port) for n, port in graph.readers(edge.origin) if n.name in self.stages]
+            # readers of one edge that want the same form share one conversion
             made: dict[bool, Rows] = {}
             for stage, port in readers:
                 push = self._bridged(edge, stage, port, stage.push(port), bridge)
@@ -254,6 +258,7 @@ class Pipeline:
         """Write operators in a row as one function each, and compile their rows. Observers have been added before."""
         self.invalidate()
         inside: set[int] = set()
+        # topological order: the first edge of a row is met before those inside it
         for edge in self.edges.values():
             if id(edge) not in inside:
                 segment = CompiledSegment(edge)
@@ -287,6 +292,7 @@ class Pipeline:
                 arrays |= {f"{name}/merge/{k}": a for k, a in stage.merge.snapshot().items()}
             stage.slot.node = ""
         for name, edge in self.edges.items():
+            # without `promised`: watermarks come anew with the first chunk after a restore
             arrays[f"{name}/edge"] = np.array([edge.pending_gap, edge.samples, edge.gaps, edge.lost])
         return arrays
 

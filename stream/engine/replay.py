@@ -125,6 +125,7 @@ class Replay:
         self.pipeline = Pipeline(self.graph, speaking=speaking, bridge=self._bridge)
         self.sequence, self._arrival = -1, 0
         self._output = output
+        # chunks carry no meaning, but pace, a new recording and drops are counted by them
         self._joins = speed is None and output is None and not self._drops
         self._stopping = False
         self.view: SessionView | None = None
@@ -236,6 +237,7 @@ class Replay:
             progress(result.seconds)
 
     def _report(self, view: SessionView) -> None:
+        # by the clock of the person who looks, not of the data, which may go by in a hundredth of the time
         self._due, self._table = time.monotonic() + TOLD_S, table_of_replay(self.pipeline, self._rates)
         view.update(self._table)
 
@@ -251,6 +253,7 @@ class Replay:
         for name, stream in self.recording.streams.items():
             computed = name in self.pipeline.edges and name not in self.substitutes.taken
             if stream.role == "edge" and computed:
+                # cut off: operators emit more at the replay's end than was ever recorded
                 limit = stream.samples if stream.until < FOREVER else None
                 digests[name] = Digest(limit, stream.spec.dtype.names or ())
                 self.pipeline.edges[name].observers.append(digests[name].add)

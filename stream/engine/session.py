@@ -128,6 +128,7 @@ class Session:
         self._open()
         compilations = Compilations()
         try:
+            # after warming up: what compilers take for a moment is not the session's memory
             with calm(), refused_beyond(ceiling(self.graph.memory_mb)):
                 self._begin()
                 self._began = time.monotonic()
@@ -196,6 +197,7 @@ class Session:
             self.pipeline.begin(self.clock, (self.log.handed, self.log.saved))
             self._checkpoint()
         self._ingress.begin()
+        # background sources (a person's entries, settings) first: what they say at the start comes before the data
         for supervisor in sorted(self._supervisors, key=lambda supervisor: not supervisor.source.background):
             supervisor.start(again=self._prior is not None)
 
@@ -210,6 +212,7 @@ class Session:
                 continue
             with self._ingress.turn.lock:
                 now = time.monotonic()
+                # a debugger, a suspended machine or a long operator: sources must not seem silent for that
                 if now - tick > TICK_S:
                     self._ingress.excuse_pause(now, now - tick)
                 self.pipeline.fold()
@@ -247,6 +250,7 @@ class Session:
     def _checkpoint(self) -> None:
         """Take the state between two chunks, with the workers at rest."""
         if self.log.wants_checkpoint:
+            # a state taken while a worker holds a chunk would lack what that chunk does further on
             self._workers.settle(self._pump)
             self.log.checkpoint(self._ingress.watermarks, self._workers.indices, self.pipeline)
 
@@ -259,6 +263,7 @@ class Session:
     def _finish(self) -> None:
         """Stop the sources, work through what had arrived, close every operator and file; each even if another fails."""
         self._down = any(r.down for r in self._supervisors)
+        # under the lock: a source that is inside the graph now comes out first
         with self._ingress.turn.lock:
             self._ingress.close()
         for supervisor in self._supervisors:
@@ -278,6 +283,7 @@ class Session:
             for stage in self.pipeline.outlets:
                 if stage.node.name != stuck:
                     stage.close()
+        # before the log is closed: findings and losses of the last second belong into the recording
         self._measure(last=True)
         for supervisor in self._supervisors:
             if not supervisor.join() and not stuck:

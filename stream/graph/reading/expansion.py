@@ -39,6 +39,7 @@ def expand(root: Located, folder: Path, problems: Problems, implicit: Collection
         problems.add(text, root.items()["part"])
         problems.stop()
     nodes = root.items()["nodes"].items() if "nodes" in root.items() else {}
+    # most graphs use no part: their text stays as it is, line for line
     if "settings" not in root.items() and not any(map(part_of, nodes.values())):
         return Expanded(root)
     reader = PartReader(folder, problems, implicit)
@@ -54,6 +55,7 @@ class _Expansion:
         self._problems, self._implicit = problems, implicit
 
     def whole(self, root: Located, scope: Scope) -> Located:
+        # all parts first: a node may read a part that stands below it in the file
         self._bind_parts(scope)
         top = dict(scope.top)
         if "nodes" in top:
@@ -146,6 +148,7 @@ class _Expansion:
         head, _, rest = at.value.partition(".")
         here = scope.called(at.value)
         if head in scope.inputs and scope.above:
+            # an input bound to another part's output, that again to an input: only following the edge finds the circle
             if here in way:
                 self._problems.add(f"parts feed each other in a circle: {' -> '.join((*way, here))}", at, node)
                 return None

@@ -79,6 +79,7 @@ class Recording:
                 raise begun
             return cls(path, parts, open_end=begun is not None)
         except BaseException:
+            # on Windows an open file could not be deleted or completed by who reads the error
             for opened in parts:
                 opened.file.close()
             raise

@@ -102,6 +102,7 @@ class Recorder:
             slot.frames = self._segments.declare_frames(name, kept)
             slot.packer = Packer() if kept == "packed" else None
         self._slots.append(slot)
+        # each stream has its share, so that a camera cannot push out the muscles' few bytes
         self._share = self._limit // (len(self._slots) - STREAMS)
         self._much = min(SPOOL_BYTES, self._share // 4)
         return len(self._slots) - 1
@@ -111,10 +112,12 @@ class Recorder:
         the session's own (`owned`); other arrays are never written again."""
         slot, n = self._slots[stream], len(chunk.time)
         size = (0 if slot.kept == "outline" else chunk.data.nbytes) + OVERHEAD
+        # a reader takes a message whole into memory, and a compressor a chunk
         if size + 8 * n > MAX_AT_ONCE and n > 1:
             for piece in _pieces(chunk):
                 self.write(stream, piece, arrival, sequence, owned=owned)
             return
+        # two counters that only one thread each writes: no lock on the graph's thread
         if slot.put - slot.got > self._much and not self._has_room(slot):
             slot.dropped += 1
             slot.missed += n
@@ -136,6 +139,7 @@ class Recorder:
 
     def _hand(self, topic: int, what: Any, time: int) -> None:
         slot = self._slots[topic]
+        # a log that is written in a loop must not take the memory that samples need
         if slot.put - slot.got > self._limit // 8:
             slot.dropped += 1
             return
@@ -202,6 +206,7 @@ class Recorder:
     def flush(self, timeout_s: float = 5.0) -> bool:
         """Wait until everything handed over so far is on the disk itself; returns whether it is. Not for the graph's thread."""
         done = Event()
+        # an end in the queue: once it is reached, all that was handed over before is on the disk
         self._rounds.end(done)
         self._thread.wake()
         return done.wait(timeout_s)
