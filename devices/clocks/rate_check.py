@@ -90,6 +90,7 @@ class RateCheck:
                 self._zero = self._last = int(device_ns[0])
             steps: Times = np.diff(device_ns, prepend=self._last) if len(device_ns) > 1 else device_ns - self._last
             if self._wraps:
+                # a step back by nearly the whole range is a wrap; a small step back is one, and stays so
                 steps = np.where(steps % self._wraps < self._wraps // 2, steps % self._wraps, steps)
             self._steps.append(steps)
             self._last = int(device_ns[-1])
@@ -99,6 +100,7 @@ class RateCheck:
         self._due = self._due or arrival_ns + round(FROM_S * NS)
         if arrival_ns < self._due:
             return None
+        # the look sorts all pairs of points: not with every packet
         self._due = arrival_ns + LOOK_NS
         return self._look(arrival_ns, feed)
 
@@ -112,6 +114,7 @@ class RateCheck:
             return None
         self._stood = False
         over, first = passed >= TO_S * NS, self._first
+        # early, an error must be large to be sure: a late first packet alone makes some per cent
         least = WRONG if over else max(WRONG, SURE_S * NS / passed)
         found, text = None, ""
         if first or over:
@@ -254,10 +257,12 @@ def _pace(arrival: Times, made: Samples, least: float) -> float | None:
     if made[-1] <= 0 or since[-1] <= 0:
         return None
     late = since - made * (since[-1] / made[-1])
+    # the least late packet of each bucket: the others were held up on the way, and only add noise
     order = np.lexsort((late, since // BUCKET_NS))
     firsts = np.unique(since[order] // BUCKET_NS, return_index=True)[1]
     points = np.sort(order[firsts])
     x, y = since[points], made[points]
+    # one pause of the sender bends the whole, but not both halves
     half = len(x) // 2
     if half < 3:
         return None

@@ -48,6 +48,7 @@ class Stamps:
         self._clock = DeviceClock(latency_s)
         self._time = DeviceTime(self._clock, wraps_ns)
         self._losses = Losses(rate_hz, counter_bits, counter_turn)
+        # with a time of its own a counter only tells what is missing; without one it is the clock
         alone = counter_bits and not has_time
         self._packets = PacketClock(counter_bits, rate_hz or 1.0, latency_s, counter_turn) if alone else None
         self._last: int | None = None
@@ -116,6 +117,7 @@ class Stamps:
             if value is None:
                 continue
             if self._time.restarted:
+                # what came before the restart in this read still belongs to the old clock
                 self._clock.map(device[mapped:i], kept[mapped:i], arrival_ns, stamp[mapped:i])
                 self._clock.restart(self._time.jump_ns)
                 mapped = i
@@ -182,6 +184,7 @@ class Stamps:
         period = NS / self._rate if self._rate else 0.0
         span = period * (n - 1)
         if self._last is not None:
+            # reads that come close together hold fewer new samples than the rate says: squeezed, not put before the last
             span = max(0.0, min(span, (arrival_ns - self._latency - self._last) * (n - 1) / n))
         back = np.round(span * np.arange(n - 1, -1, -1) / max(1, n - 1)).astype(np.int64)
         stamp = arrival_ns - self._latency - back
@@ -267,6 +270,7 @@ class Losses:
         if periods > 0:
             gap = round(periods) - 1 - beside
             return gap if beside >= 0 and periods > GAP_PERIODS and gap > (beside and 1 + TICK * periods) else 0
+        # a repetition only where the device's time is fine enough to tell two records apart
         if again and self._finest < GAP_PERIODS:
             self._beside -= 1
             return REPEATED

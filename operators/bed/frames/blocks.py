@@ -65,6 +65,7 @@ def slope(level: Samples, r: int, q: int, down: int, right: int) -> float:
     rows, columns = level.shape
     one = level[r, q] - level[r - down, q - right] if r >= down and q >= right else math.nan
     two = level[r + down, q + right] - level[r, q] if r + down < rows and q + right < columns else math.nan
+    # NaN, which differs from itself: there is no neighbour on that side, or it is not measured
     if one != one or two != two:
         only = two if one != one else one
         return only if abs(only) < EDGE_MM else 0.0
@@ -150,6 +151,7 @@ def gather(frame: Frame, b: int, needed: int, first: int, step: int, most: int, 
         total, count = 0, 0
         for j in range(b):
             for x in range(b):
+                # integers add up exactly, in whatever order the compiler takes them
                 p = frame[top + j, left + x]
                 total += p
                 count += p != 0
@@ -185,6 +187,7 @@ def iterate(covariance: Samples, vectors: Samples, work: Samples) -> None:
             work[i] = v
         for i in range(n):
             vectors[k, i] = work[i]
+        # Gram-Schmidt against those before: without it all vectors turn to the first component
         for other in range(k):
             along = 0.0
             for i in range(n):

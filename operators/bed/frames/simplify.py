@@ -96,6 +96,7 @@ class Simplify(Operator[SimplifyState]):
         if m > b * b:
             raise ParameterError("components", m, f"at most {b * b}, the pixels of a block")
         blocks = height * width // b**2
+        # products of all pairs of a block's pixels: fewer blocks a frame where blocks are large
         most = min(blocks, max(8, min(64, EFFORT // b**4)))
         state = SimplifyState(
             np.zeros((m, b, width), np.float32), np.zeros((b, width), np.float32), np.zeros((m, 2), np.float32),

@@ -121,6 +121,7 @@ class View(Operator[ViewState]):
             made, s.lost = [], -1
         for i, time in enumerate(chunk.time.tolist()):
             self._pass(time - 1, made)
+            # whole seconds of the clock, so that it does not matter when the session began
             if s.seconds.begin == NEVER:
                 s.seconds.begin = time // NS * NS
             add(chunk.data[i], s.seconds.sums, s.seconds.counts)
