@@ -439,8 +439,9 @@ class StartBarrier(Generic[P]):
         if self.done:
             return [(port, chunk, arrival)]
         source = supervisor.source
-        # a live device's samples of before the start are left out, but files would lose their beginning for good
-        if self.ready or source.background or not supervisor.live:
+        # a live device's samples of before the start are left out, but files would lose their beginning for good; and a source that has
+        # ended already will not say so again
+        if self.ready or source.background or not supervisor.live or chunk.until == FOREVER:
             self._held.append((port, chunk, arrival))
         return self.release()
 
