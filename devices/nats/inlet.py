@@ -55,7 +55,7 @@ class StreamInlet(Source):
     unknown size.
 
     What the stream is must be known before the start, as between nodes: from `spec`, a file that `kinegraph ward spec` writes, or
-    from the server, to which the bed has said it; without a server what was found there last counts. A stream that is another is refused.
+    from the server, where the bed publishes it; without a server what was found there last counts. A stream that is another is refused.
 
     Stamps are the bed's. With `stamps: centre` they are moved by the measured offset of the clocks; a new offset is taken over at 1 % of
     the pace of time.

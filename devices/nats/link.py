@@ -187,7 +187,7 @@ def shared(server: NatsServer, name: str, inbox: str = "_INBOX") -> Link:
 
 
 def release(link: Link) -> None:
-    """Nobody of this caller needs the connection any more; with the last one it is closed."""
+    """The caller needs the connection no more; with the last caller it is closed."""
     with _sharing:
         key = next((key for key, (one, _) in _shared.items() if one is link), None)
         if key is None:

@@ -165,7 +165,7 @@ class StreamReader:
                 self.ended = True
                 chunk.until = max(position.until, int(chunk.time[-1]) if n else NEVER)
             old = int(np.searchsorted(chunk.time, position.until, "right")) if n else 0
-            if begins:  # the bed's clock was set back: the gap before this session says so
+            if begins:  # the bed's clock was set back: the gap before this session counts them
                 self.before += old
             else:
                 self.repeated += old

@@ -69,7 +69,7 @@ def check_bed(bed: str) -> None:
 
 
 def account_of(file: Path) -> tuple[str, NatsServer]:
-    """The bed and the server that a server.yaml of `kinegraph ward add` names; its files lie beside it. Raises KinegraphError."""
+    """The bed and the server that a server.yaml of `kinegraph ward add` names; its files are beside it. Raises KinegraphError."""
     from kinegraph.stream.graph.reading.yaml_lines import parse
 
     try:

@@ -16,7 +16,7 @@ HEARTBEAT_S = 1.0
 SILENT_S = 3.5
 """Without even a heartbeat for so long, the server has forgotten the subscription."""
 MAX_WAITING_BYTES = 16 << 20
-"""Beyond so much that nobody has taken yet, the server is asked to wait."""
+"""Beyond so much that waits here, the server is asked to wait."""
 FORGET_S = 60.0
 """So long the server keeps a subscription of a process that is gone."""
 

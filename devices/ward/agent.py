@@ -1,6 +1,6 @@
 """The agent at a bed: keeps `kinegraph run` going, reports whether it runs, takes a new graph, and goes back where that does not work.
 
-Everything it needs stands in its folder, so that a bed goes on without the centre, and after a power cut:
+Everything it needs is in its folder, so that a bed goes on without the centre, and after a power cut:
 
 agent.json      which graph runs, which ran before, the last order
 graph-*.yaml    graphs, by digest
@@ -57,7 +57,7 @@ class Agent:
         install: Sequence[str] = (),
         watch_s: float = WATCH_S,
     ) -> None:
-        """`install` installs a version, whose number is appended; without it versions are refused."""
+        """`install` installs a version; its number is appended. Without it versions are refused."""
         self.bed, self.home, self._command, self._install, self._watch_s = bed, home, command, install, watch_s
         private_folder(home)
         self.kept: dict[str, Any] = {"graph": "", "before": "", "order": {}}

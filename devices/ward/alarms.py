@@ -65,7 +65,7 @@ class AlarmBook:
             return done.rowcount > 0
 
     def open(self) -> list[dict[str, Any]]:
-        """Alarms that nobody has acknowledged, the newest first."""
+        """Alarms that are not acknowledged, the newest first."""
         return self._rows("WHERE acknowledged IS NULL ORDER BY raised DESC LIMIT ?", MAX_SHOWN)
 
     def due(self, receiver: str) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Who may do what at the server, what leaves the bed, and whose clock counts."""
+"""Who may do what at the server, what leaves the bed, and which clock counts."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class linked:
         self.link.close()
 
 
-def test_nobody_connects_without_an_account(guarded: LocalServer) -> None:
+def test_no_client_connects_without_an_account(guarded: LocalServer) -> None:
     with linked(guarded, "") as link:
         eventually(lambda: "uthorization" in link.error)
         assert not link.there
