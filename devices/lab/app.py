@@ -83,7 +83,7 @@ class Lab:
     # who controls ----------------------------------------------------------------------------------------------------
 
     def controller(self, session: str) -> str:
-        """Who controls a session now; "" where nobody does."""
+        """Who controls a session now; "" where no client does."""
         client, seen_s = self._control.get(session, ("", 0.0))
         return client if time.monotonic() - seen_s < CONTROL_S else ""
 
