@@ -68,9 +68,11 @@ class BreathWatch:
         for k, breath in enumerate(self.cells.breaths(self.window, regions)):
             confidence, moved = breath.confidence, breath.moved
             breathes = confidence >= CONFIDENT
+            if not confidence and not moved:
+                continue  # too little was measured to see breath: that is no evidence of anything
             if breathes:
                 self.seen[k] = end
-            self.lull[k] = 0 if breathes or moved or not confidence else self.lull[k] + 1
+            self.lull[k] = 0 if breathes or moved else self.lull[k] + 1
             if in_bed[k] and not moved and self.lull[k] < LULL:
                 self.count[k] += 1
                 self.share[k] += (breathes - self.share[k]) * max(FORGETS, 1 / self.count[k])

@@ -78,7 +78,7 @@ RENAMED = {
     "map": "motion map",
     "evaluate segmentation": "motion evaluate",
     "evaluate sleep": "sleep evaluate",
-    "bedside": "sleep check",
+    "bedside": "sleep setup",
     "bedside check": "sleep check",
     "nights": "sleep nights",
 }

@@ -14,6 +14,7 @@ import numpy as np
 import typer
 
 from kinegraph.operators.bed.breath_watch import CONFIDENT, STILL_MM_S
+from kinegraph.operators.bed.setup.graph import SetupGraph
 from kinegraph.operators.bed.setup.judgement import BedFinding
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Chunk
 from kinegraph.stream.cli.commands.json_option import AsJson, print_json
@@ -50,39 +51,54 @@ def check(
     Nothing is stored. Exit codes: 0 all is well; 2 something is not, or the graph is wrong; 3 the camera is missing.
     """
     from kinegraph.operators.bed.setup.graph import small
-    from kinegraph.operators.bed.setup.judgement import judge
     from kinegraph.stream.cli.commands import logs
     from kinegraph.stream.cli.commands.run import simulated
 
     logs.set_up(json=False, verbose=False)
     made = small(config, settings or [])
-    camera: Any = made.graph.nodes["camera"].part
-    if complaint := getattr(camera, "blind_at_night", ""):
-        raise KinegraphError(f"node 'camera': {complaint}")
-    with simulated(made.graph) if simulate else nullcontext():
-        if look:
-            Preview(made.graph).run()
-            return
-        looks = Looks(made.graph, out_s, between_s, in_s, quiet=as_json)
-        looks.run()
-    stays = dict(zip(looks.sleepers, looks.minutes[1:], strict=True))
-    findings = judge(looks.minutes[0], stays, looks.regions, looks.block, made.rise_mm, made.min_share)
-    findings += [found for name in looks.sleepers if (found := looks.breath(name)) is not None]
-    notes = [_broker(host, port) for host, port in made.brokers] if not simulate else []
+    if look:
+        with simulated(made.graph) if simulate else nullcontext():
+            Preview(_seeing(made).graph).run()
+        return
+    findings = looked(made, out_s, between_s, in_s, simulate=simulate, quiet=as_json)
+    notes = [broker_note(host, port) for host, port in made.brokers] if not simulate else []
     if as_json:
-        print_json({"findings": findings, "problems": looks.problems, "notes": notes})
-    for finding in findings if not as_json else ():
-        say(f"{'well' if finding.well else 'NOT WELL'}: {finding.text}")
-    for problem in looks.problems if not as_json else ():
-        say(f"NOT WELL: the camera says: {problem}")
-    if looks.problems or not all(finding.well for finding in findings):
+        print_json({"findings": findings, "notes": notes})
+    if not all(finding.well for finding in findings):
         raise KinegraphError("the night would not be recorded properly; correct this, and check again")
     if not as_json:
         for note in [*notes, f"next: kinegraph run {config}, or the service of docs/use/bedside.md"]:
             say(note)
 
 
-def _broker(host: str, port: int) -> str:
+def looked(
+    made: SetupGraph, out_s: float, between_s: float, in_s: float, *, simulate: bool, quiet: bool = False
+) -> list[BedFinding]:
+    """The minutes out of bed and in it, and what they show; printed unless `quiet`."""
+    from kinegraph.operators.bed.setup.judgement import judge
+    from kinegraph.stream.cli.commands.run import simulated
+
+    with simulated(made.graph) if simulate else nullcontext():
+        looks = Looks(_seeing(made).graph, out_s, between_s, in_s, quiet=quiet)
+        looks.run()
+    stays = dict(zip(looks.sleepers, looks.minutes[1:], strict=True))
+    findings = judge(looks.minutes[0], stays, looks.regions, looks.block, made.rise_mm, made.min_share)
+    findings += [found for name in looks.sleepers if (found := looks.breath(name)) is not None]
+    findings += [BedFinding(False, f"the camera says: {problem}") for problem in looks.problems]
+    for finding in findings if not quiet else ():
+        say(f"{'well' if finding.well else 'NOT WELL'}: {finding.text}")
+    return findings
+
+
+def _seeing(made: SetupGraph) -> SetupGraph:
+    """Raises KinegraphError where its camera sees nothing at night."""
+    camera: Any = made.graph.nodes["camera"].part
+    if complaint := getattr(camera, "blind_at_night", ""):
+        raise KinegraphError(f"node 'camera': {complaint}")
+    return made
+
+
+def broker_note(host: str, port: int) -> str:
     """Whether anything answers where the graph publishes."""
     import socket
 
