@@ -197,7 +197,7 @@ def main() -> None:
     rows: list[list[str]] = []
     left: list[list[str]] = []
     for name in given.only:
-        for kind, first in (("chosen on", 420), ("left out", LEFT_OUT + 300))[: 1 if given.chosen else 2]:
+        for kind, first in (("chosen on", 420), ("left out", LEFT_OUT + 320))[: 1 if given.chosen else 2]:
             tally = Tally()
             for seed in range(first, first + given.rooms):
                 measured(seed, CAMERAS[name], tally)

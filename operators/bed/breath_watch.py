@@ -68,7 +68,7 @@ class BreathWatch:
         for k, breath in enumerate(self.cells.breaths(self.window, regions)):
             confidence, moved = breath.confidence, breath.moved
             breathes = confidence >= CONFIDENT
-            if not confidence and not moved:
+            if not len(breath.cells) and not moved:
                 continue  # too little was measured to see breath: that is no evidence of anything
             if breathes:
                 self.seen[k] = end
