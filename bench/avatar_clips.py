@@ -35,6 +35,7 @@ from kinegraph.stream.domain.skeleton import joints_of
 from kinegraph.stream.operator import grid
 
 FRAMES, STANDING = 80, 40
+PEOPLE = Path("people")
 CHOSEN_ON = (
     ("male", "02_05", 120, 0), ("male", "01_02", 500, 30), ("male", "02_08", 100, -30), ("male", "13_31", 300, 0),
     ("male", "02_10", 200, 30), ("male", "01_10", 400, 90), ("male", "02_06", 250, 0), ("male", "03_03", 500, 180),
@@ -108,9 +109,9 @@ def seen(folder: Path, clip: tuple[str, str, int, int], keep: Path | None) -> Se
     return Seen(ways, picture.truth, front)
 
 
-def given_out(made: tuple[Samples, Samples]) -> Samples:
+def given_out(made: tuple[Samples, Samples], least: float = 0.5) -> Samples:
     markers, confidence = made
-    return np.where((confidence < 0.5)[..., None], np.nan, markers)
+    return np.where((confidence < least)[..., None], np.nan, markers)
 
 
 def fused(first: Samples, second: Samples) -> Samples:
@@ -128,18 +129,22 @@ def spec_of_markers() -> StreamSpec:
     return markers_specs(StreamSpec((240, 320), np.dtype(np.uint16), rate_hz=30.0, units=("mm",)))["out"]
 
 
-def posed(markers: Samples, *, model: Path | None = None) -> tuple[Samples, Samples]:
-    """Joints (n, 22, 3), y up, and world rotations (n, 22, 4) of the chain after the markers."""
+def posed(markers: Samples, confidence: Samples, *, model: Path | None = PEOPLE) -> tuple[Samples, Samples]:
+    """Joints (n, 22, 3), y up, and world rotations (n, 22, 4) of the chain after markers (n, 20, 3) of this confidence."""
     spec, times = spec_of_markers(), grid(30.0, len(markers))
     chunk = Chunk(times, markers, int(times[-1]))
     for step in (OneEuro(cutoff_hz=1.0, beta=2.0), Predict(ahead_s=0.033, tau_s=0.15)):
         spec = step.open({"in": spec})["out"]
         chunk = step.process("in", chunk)  # type: ignore[assignment]
     pose = WholePose(up="-y", model=model)
-    pose.open({"in": spec})
-    out = dict(pose.process("in", Chunk(times, chunk.data.reshape(len(times), -1), chunk.until)))
-    turns, _ = joints_of(usual_body(), out["pose"].data)
-    return out["joints"].data, turns
+    poses, joints = np.empty((len(times), 91)), np.empty((len(times), 22, 3))
+    pose.open({"in": spec, "confidence": StreamSpec(confidence.shape[1:], rate_hz=30.0)})
+    for i, time in enumerate(times.tolist()):
+        pose.process("confidence", Chunk(times[i : i + 1], confidence[i : i + 1], time))
+        out = dict(pose.process("in", Chunk(times[i : i + 1], chunk.data[i : i + 1].reshape(1, -1), time)))
+        poses[i], joints[i] = out["pose"].data[0], out["joints"].data[0]
+    turns, _ = joints_of(usual_body(), poses)
+    return joints, turns
 
 
 def directions(joints: Samples, limbs: Iterable[tuple[int, int]]) -> Samples:
@@ -164,8 +169,10 @@ def pitch(front: Samples) -> Samples:
     return np.asarray(np.degrees(np.arcsin(np.clip(front[..., 1], -1, 1))))
 
 
-def judged(markers: Samples, all_of_them: tuple[Samples, Samples] | None, clip: Seen) -> dict[str, float]:
-    """What a row of the table says of these `markers` (n, 20, 3), as given out."""
+def judged(
+    markers: Samples, all_of_them: tuple[Samples, Samples] | None, clip: Seen, doubtful: Samples | None = None
+) -> dict[str, float]:
+    """What a row of the table says of these `markers` (n, 20, 3), as given out; `doubtful` are all that the pose is given of them."""
     at = slice(-FRAMES, None)
     shown, truth = markers[at][:, SHOWN], clip.truth[at]
     made: dict[str, float] = {}
@@ -180,7 +187,8 @@ def judged(markers: Samples, all_of_them: tuple[Samples, Samples] | None, clip: 
         made["far flagged"] = float(100 * np.isnan(off)[far].mean()) if far.any() else np.nan
     made["far in a row"] = max(longest(flags) for flags in (off > FAR_CM).T)
     made["missing %"] = float(100 * np.isnan(off).mean())
-    joints, turns = posed(markers)
+    confidence = np.ones(markers.shape[:2]) if all_of_them is None else all_of_them[1]
+    joints, turns = posed(markers if doubtful is None else doubtful, confidence)
     up = np.array([1.0, -1.0, -1.0])
     limbs = directions(joints[at], [(BONES.index(a), BONES.index(b)) for a, b in LIMBS])
     true = directions(truth * up, TRUE_LIMBS)
@@ -213,15 +221,16 @@ def main() -> None:
         for clip in clips:
             shown = seen(folder, clip, given.keep)
             out = {way: given_out(made) for way, made in shown.ways.items()}
+            every = given_out(shown.ways["network"], 0.01)
+            behind = fused(out["relief"], out["extrema"])
             chains = {
-                "network, extrema": (fused(out["network"], out["extrema"]), shown.ways["network"]),
-                "network, relief": (fused(out["network"], out["relief"]), shown.ways["network"]),
-                "network": (out["network"], shown.ways["network"]),
-                "relief": (out["relief"], shown.ways["relief"]),
-                "extrema": (out["extrema"], None),
+                "network, relief": (fused(out["network"], behind), shown.ways["network"], fused(every, behind)),
+                "the same, without doubtful ones": (fused(out["network"], behind), shown.ways["network"], None),
+                "depth alone": (behind, None, None),
+                "depth alone, no network": (out["extrema"], None, None),
             }
-            for way, (markers, raw) in chains.items():
-                result = judged(markers, raw, shown)
+            for way, (markers, raw, doubtful) in chains.items():
+                result = judged(markers, raw, shown, doubtful)
                 if not rows:
                     print("| clip | way |", " | ".join(result), "|\n|---|---|" + "---|" * len(result))
                 rows.setdefault((group, way), []).append(result)

@@ -24,16 +24,18 @@ from kinegraph.stream.domain.axes import BODY
 from kinegraph.stream.domain.mesh import Topology
 
 LEGS = {
-    "fl": ("finger_L", ("scapula_L_extend", "shoulder_L_extend", "elbow_L", "wrist_L")),
-    "fr": ("finger_R", ("scapula_R_extend", "shoulder_R_extend", "elbow_R", "wrist_R")),
-    "hl": ("toe_L", ("hip_L_extend", "knee_L", "ankle_L")),
-    "hr": ("toe_R", ("hip_R_extend", "knee_R", "ankle_R")),
+    "fl": ("finger_L", ("scapula_L_extend", "scapula_L_abduct", "shoulder_L_extend", "elbow_L", "wrist_L")),
+    "fr": ("finger_R", ("scapula_R_extend", "scapula_R_abduct", "shoulder_R_extend", "elbow_R", "wrist_R")),
+    "hl": ("toe_L", ("hip_L_extend", "hip_L_abduct", "knee_L", "ankle_L")),
+    "hr": ("toe_R", ("hip_R_extend", "hip_R_abduct", "knee_R", "ankle_R")),
 }
 """By leg: the body of its paw, and the joints that swing it."""
 WALK = {"fl": 0.0, "fr": 0.5, "hl": 0.75, "hr": 0.25}
 LIMBS = ("hoof_fl", "hoof_fr", "hoof_hl", "hoof_hr")
-STRIDE_M, LIFT_M, STANDS = 0.16, 0.07, 0.62
-"""How far a paw goes in a stride, how high it is lifted, and what share of the stride it stands."""
+STRIDES, STANDS = ((0.12, 0.05), (0.18, 0.07), (0.24, 0.1)), 0.62
+"""How far a paw goes in a stride and how high it is lifted (m), and what share of the stride it stands."""
+ABOUT_M, ABOUT = (0.14, 0.04, 0.14), 96
+"""Paws also go anywhere so far to the front, to the side and up, in so many frames: what people do is on no dog's path."""
 TRIANGLES = 7000
 FRAMES = 24
 
@@ -98,7 +100,6 @@ class Dog:
         self.skin = simpler(read_skin(assets / "dog_assets" / "dog_skin.skn"), TRIANGLES)
         self.bodies = [self.model.body(name).id for name in self.skin.names]
         self.rest = self.model.qpos0.copy()
-        self.found = {leg: np.zeros(len(joints)) for leg, (_, joints) in LEGS.items()}
 
     def joint(self, name: str) -> Any:
         return self.model.joint(name)
@@ -111,7 +112,7 @@ class Dog:
         self.mujoco.mj_kinematics(self.model, self.data)
 
     def reach(self, qpos: Samples, leg: str, wanted: Samples) -> None:
-        """Put angles into `qpos` that bring a paw to `wanted`, level as at rest, near those of the frame before."""
+        """Put angles into `qpos` that bring a paw to `wanted`, level as at rest, as near to those at rest as can be."""
         from scipy.optimize import least_squares
 
         body, joints = LEGS[leg]
@@ -122,28 +123,30 @@ class Dog:
             qpos[at] = angles
             self.place(qpos)
             level = np.array(self.data.body(body).xmat).reshape(3, 3) - self.level[leg]
-            return np.concatenate(
-                [(self.paw(leg) - wanted)[[0, 2]], 0.02 * level.ravel(), 0.002 * (angles - self.rest[at])]
-            )
+            return np.concatenate([self.paw(leg) - wanted, 0.02 * level.ravel(), 0.002 * (angles - self.rest[at])])
 
-        start = np.clip(self.found[leg], low + 1e-3, high - 1e-3)
-        self.found[leg] = qpos[at] = least_squares(off, start, bounds=(low, high)).x
+        start = np.clip(self.rest[at], low + 1e-3, high - 1e-3)
+        qpos[at] = least_squares(off, start, bounds=(low, high)).x
 
-    def frames(self, late: dict[str, float], count: int) -> Samples:
-        """Vertices (count, v, 3), y up, facing z, of a stride in which each leg is late by this share."""
+    def frames(self) -> Samples:
+        """Vertices (n, v, 3), y up, facing z: strides, and paws anywhere about their places."""
         self.place(self.rest)
         stands = {leg: self.paw(leg) for leg in LEGS}
         self.level = {leg: np.array(self.data.body(body).xmat).reshape(3, 3) for leg, (body, _) in LEGS.items()}
-        made = []
-        for k in range(count):
-            phase, qpos = k / count, self.rest.copy()
+        made, random = [], np.random.default_rng(9)
+        for k in range(len(STRIDES) * FRAMES + ABOUT):
+            phase, qpos = k / FRAMES % 1.0, self.rest.copy()
             qpos[2] += 0.006 * np.cos(4 * np.pi * phase) - 0.012
             for name, size, when in (("C_5_extend", 0.10, 0.1), ("C_3_extend", 0.06, 0.1), ("C_1_extend", -0.08, 0.1)):
                 qpos[self.joint(name).qposadr[0]] += size * np.cos(4 * np.pi * (phase - when))
             for number in range(2, 21, 2):
                 qpos[self.joint(f"Ca_{number}_bend").qposadr[0]] += 0.12 * np.sin(2 * np.pi * (phase - 0.03 * number))
             for leg in LEGS:
-                self.reach(qpos, leg, stands[leg] + path((phase - late[leg]) % 1.0))
+                if k < len(STRIDES) * FRAMES:
+                    way = path((phase - WALK[leg]) % 1.0, *STRIDES[k // FRAMES])
+                else:
+                    way = random.uniform((-1, -1, 0), 1) * ABOUT_M
+                self.reach(qpos, leg, stands[leg] + way)
             self.place(qpos)
             made.append(self.skinned())
         return np.array(made)
@@ -159,12 +162,12 @@ class Dog:
         return made[:, [1, 2, 0]]
 
 
-def path(phase: float) -> Samples:
+def path(phase: float, stride: float, lift: float) -> Samples:
     """Where a paw is from its place at rest (m; x to the front, z up): back along the floor, then forward in the air."""
     if phase < STANDS:
-        return np.array([STRIDE_M * (0.5 - phase / STANDS), 0.0, 0.0])
+        return np.array([stride * (0.5 - phase / STANDS), 0.0, 0.0])
     swing = (phase - STANDS) / (1.0 - STANDS)
-    return np.array([STRIDE_M * (-0.5 * np.cos(np.pi * swing)), 0.0, LIFT_M * np.sin(np.pi * swing) ** 2])
+    return np.array([stride * (-0.5 * np.cos(np.pi * swing)), 0.0, lift * np.sin(np.pi * swing) ** 2])
 
 
 def marked(vertices: Samples, skin: Skin) -> dict[str, int]:
@@ -192,9 +195,9 @@ def main() -> None:
         assert spec and spec.submodule_search_locations, "pip install dm_control"
         given.assets = Path(spec.submodule_search_locations[0]) / "suite"
     dog = Dog(given.assets)
-    frames = dog.frames(WALK, FRAMES)
+    frames = dog.frames()
     faces = dog.skin.faces
-    names = marked(frames.mean(axis=0), dog.skin)
+    names = marked(frames[0], dog.skin)
     if given.keep:
         np.savez_compressed(given.keep, frames=frames, faces=faces, **{f"at.{name}": v for name, v in names.items()})
     mesh = Topology(frames.shape[1], faces.astype(np.int32), "dog")

@@ -61,6 +61,7 @@ class OakSimulator(Simulator):
     fps: float = param(30.0, above=0, most=240, help="frames per second")
     imu_hz: float = param(0.0, least=0, most=1000, help="inertial packets per second; 0: off")
     image: str = param("", help="mono or colour: images beside the depth, of someone who moves before the camera")
+    people: int = param(1, least=1, most=2, help="how many people move before it; of two the first has key points")
     network: bool = param(False, help="key points, as of a pose network on the camera, of someone who moves before it")
     seed: int = param(0, least=0, help="another seed, another night")
     per_min: float = param(1.5, least=0, help="movements per minute, on average")
@@ -110,7 +111,7 @@ class SimulatedCamera:
 
     def __init__(self, of: OakSimulator, faults: FaultInjection) -> None:
         self.of, self.injector = of, FaultInjector(faults)
-        self.performer = RenderedPerformer(of.width, of.height, seed=of.seed)
+        self.performer = RenderedPerformer(of.width, of.height, seed=of.seed, people=of.people)
         self.sleeper = Sleeper(of.width, of.height, seed=of.seed, per_min=of.per_min, invalid=of.invalid)
         self.began = math.nan
         self._freeze = FaultInjector(FaultInjection(stall_every_s=of.freeze_every_s, stall_s=of.freeze_s))
@@ -392,6 +393,7 @@ def simulated(source: OakSource) -> Iterator[SimulatedOak]:
         fps=source.fps,
         imu_hz=source.imu_hz,
         image=source.image,
+        people=source.people,
         network=bool(source.network),
     )
     with device.plugged_in() as camera:

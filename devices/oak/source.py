@@ -96,6 +96,7 @@ class Oak(Source):
     )
     lit_room: bool = param(False, help="the room stays light all night, so that a stereo camera needs no projector")
     imu_hz: float = param(0.0, least=0, most=1000, help="rate of the inertial output; 0: off")
+    people: int = param(1, least=1, most=2, help="with --simulate: how many people the simulated camera shows")
     lost_after_s: float = param(5.0, above=0, help="after how long without a frame it is opened again")
     reconnect_s: float = param(30.0, above=0, help="how long depthai may try to reach a camera that was unplugged")
     latency_s: float = param(0.0, least=0, most=1, help="how long before its stamp a frame really was taken")

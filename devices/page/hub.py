@@ -15,7 +15,19 @@ from kinegraph.devices.page.transfer.catalogue import always_kept, kind_of
 from kinegraph.devices.page.transfer.downsample import Curve
 from kinegraph.devices.page.transfer.history import History
 from kinegraph.devices.page.transfer.spectra import analysed
-from kinegraph.devices.page.transfer.wire import Analyse, Asked, Look, Mark, See, Seek, SetPace, StepOn, Tell, encode
+from kinegraph.devices.page.transfer.wire import (
+    Analyse,
+    Asked,
+    Look,
+    Mark,
+    RecordTake,
+    See,
+    Seek,
+    SetPace,
+    StepOn,
+    Tell,
+    encode,
+)
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 
 LOG_LINES = 200
@@ -153,8 +165,10 @@ class Hub:
                 raise ValueError("only a recording can be looked into")
             case SetPace() | StepOn() | Seek() if self.hello["mode"] != "replay":
                 raise ValueError("only a replay can be held or moved")
-            case Mark() | Tell() if self.hello["mode"] != "live":
+            case Mark() | RecordTake() | Tell() if self.hello["mode"] != "live":
                 raise ValueError("a replay takes no input")
+            case RecordTake() if not self.hello.get("takes"):
+                raise ValueError("there is no avatar to record")
             case Tell(node) if node not in {value["node"] for value in self.hello["values"]}:
                 raise ValueError("there is no such value")
             case _:

@@ -24,6 +24,7 @@ from kinegraph.devices.page.avatar_file import checked_avatar
 from kinegraph.devices.page.marks import MARKS, SPEC, Marks, shown_with
 from kinegraph.devices.page.server_process import ServerProcess
 from kinegraph.devices.page.serving import refuse_unbuilt
+from kinegraph.devices.page.takes import FOLDER, Takes
 from kinegraph.devices.page.transfer.catalogue import (
     described,
     hello,
@@ -88,6 +89,7 @@ class LivePage:
         self._specs = offered(graph, outside=not is_loopback(self._address.host))
         self._steered: dict[str, Callable[..., None]] = {}
         self._length_s = 0.0
+        self._takes = Takes([], {})
         self._marks: Marks | None = None
         self._over, self._listening = threading.Event(), threading.Event()
         self._handover = Handover(self._new_channel(), self._over, live=mode == "live")
@@ -117,8 +119,21 @@ class LivePage:
     def attach(self, session: Session) -> None:
         """Observe what is to be shown; called before the session runs."""
         self._t0 = session.clock.now()
+        self._takes = Takes(self._hello()["panels"], self._specs)
         self.observe(session.pipeline)
         self._steered = {"mark": lambda text, at: session.mark(text, self._onset(at)), "tell": session.tell}
+        if self._takes.name:
+            self._takes.observe(session.pipeline)
+            self._steered["take"] = lambda name, on: self._take(session, name, on=on)
+
+    def _take(self, session: Session, name: str, *, on: bool) -> None:
+        """Begin a take, or end it and write its files beside the recording."""
+        if on:
+            session.mark(f"take {self._takes.begin(name)}")
+            return
+        files = self._takes.end(Path(session.folder or ".") / FOLDER)
+        session.mark(f"take {files[0].stem} ends")
+        log.info("take written", files=", ".join(map(str, files)))
 
     def replays(self, replay: Replay) -> None:
         """Observe a replay; one that begins again is shown from its beginning."""
@@ -224,14 +239,19 @@ class LivePage:
 
     def greeting(self) -> list[bytes]:
         """The first messages to a server that has started: the session, and the marks of a recording."""
-        header = hello(self._graph, outside=not is_loopback(self._address.host), mode=self._mode, t0_ns=self._t0)
-        if self._avatar_asked:
-            header["panels"] = with_avatar(header["panels"], self._specs)
+        header = self._hello()
+        header["takes"] = self._mode == "live" and bool(self._takes.name)
         if self._marks:
             header["streams"].append(described(MARKS, SPEC))
             header["panels"] = shown_with(header["panels"])
         specs = [spec.to_json() for spec in self._specs.values()]
         return [encode({**header, "t0_ns": self._t0, "specs": specs, "modules": self._modules}), *self._marked()]
+
+    def _hello(self) -> dict[str, Any]:
+        header = hello(self._graph, outside=not is_loopback(self._address.host), mode=self._mode, t0_ns=self._t0)
+        if self._avatar_asked:
+            header["panels"] = with_avatar(header["panels"], self._specs)
+        return header
 
     def answer(self, asked: dict[str, Any]) -> None:
         """What was asked for on the page, or by its server."""
@@ -283,6 +303,7 @@ class FoxgloveLane(LivePage):
 MESSAGES = {
     "tell": "set on the page",
     "mark": "annotated on the page",
+    "take": "take on the page",
     "pace": "replay speed",
     "step": "replay goes a step",
     "seek": "replay goes to",

@@ -29,6 +29,10 @@ POINTS = (
 )  # fmt: skip
 HALF_SHOULDERS, HALF_HIPS, UPPER_ARM, FOREARM, THIGH, SHANK = 0.18, 0.10, 0.28, 0.26, 0.42, 0.42
 SKIN, SHIRT, TROUSERS = 0.9, 0.6, 0.42
+APART = ((0.0, 0.0, 0.0),), ((-0.65, 0.0, 0.2), (0.7, 0.0, -0.2))
+"""Where people stand (m, in the room), one of them or two; of two, the first is the nearer one."""
+LATER_S = 0.45
+"""The second one's movement is so late."""
 
 
 def camera_of(width: int, height: int) -> tuple[float, float, float, float]:
@@ -83,8 +87,10 @@ def _bones() -> list[tuple[str, str, float, float]]:
 class RenderedPerformer:
     """What the camera sees at any time."""
 
-    def __init__(self, width: int, height: int, *, seed: int = 0, invalid: float = 0.02, noise_mm: float = 4.0) -> None:
-        self.width, self.height = width, height
+    def __init__(
+        self, width: int, height: int, *, seed: int = 0, invalid: float = 0.02, noise_mm: float = 4.0, people: int = 1
+    ) -> None:
+        self.width, self.height, self.people = width, height, people
         random, shape = np.random.default_rng([seed, 3]), (VARIANTS, height, width)
         noise, grain = (size * random.standard_normal(shape, np.float32) for size in (noise_mm, 4.0))
         self._spoils = noise, random.random(shape, np.float32) >= invalid, grain
@@ -94,10 +100,17 @@ class RenderedPerformer:
         self._room = np.broadcast_to(np.minimum(WALL_M, HEIGHT_M / np.maximum(y, 1e-6)), (height, width))
         self._newest: tuple[int, Array, Array] = (-1, np.empty(0), np.empty(0))
 
-    def joints(self, seconds: float) -> Samples:
-        """Where POINTS are (13, 3) in m: x right, y down, z away from the camera."""
-        places, _ = body_at(seconds)
+    def joints(self, seconds: float, who: int = 0) -> Samples:
+        """Where POINTS are (13, 3) in m of one of the people: x right, y down, z away from the camera."""
+        places = self._body(seconds, who)
         return np.stack([_seen(places[name]) for name in POINTS])
+
+    def _body(self, seconds: float, who: int) -> dict[str, Samples]:
+        """The joints of one of the people in the room."""
+        places, _ = body_at(seconds - LATER_S * who)
+        if self.people == 1:
+            return places
+        return {name: place + APART[self.people - 1][who] for name, place in places.items()}
 
     def frame(self, index: int, seconds: float) -> NDArray[np.uint16]:
         """Depth (height, width) in mm, 0 where nothing was measured."""
@@ -113,9 +126,10 @@ class RenderedPerformer:
         depth, light = canvas(self.height, self.width, math.inf)
         depth[:] = self._room
         if seconds >= EMPTY_S:
-            places, _ = body_at(seconds)
-            rows = [(*_seen(places[a]), *(_seen(places[b]) + 1e-6), r, bright) for a, b, r, bright in self._bones]
-            render(np.array(rows), self._camera, depth, light)
+            for who in range(self.people):
+                places = self._body(seconds, who)
+                rows = [(*_seen(places[a]), *(_seen(places[b]) + 1e-6), r, bright) for a, b, r, bright in self._bones]
+                render(np.array(rows), self._camera, depth, light)
         noise, there, grain = (kept[index % VARIANTS] for kept in self._spoils)
         measured = np.where(there, 1000 * depth + noise * (depth / 2) ** 2, 0)
         grey = np.where(light > 0, 200 * light, 45.0) + grain

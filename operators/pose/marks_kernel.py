@@ -21,6 +21,8 @@ LEAP_M, LEAP_M_S, DOUBTED = 0.3, 8.0, 3
 """A marker farther from where it is expected than this, and this times the period, is not believed for this many samples."""
 EASES_S, EASES_M = 0.08, 1.0
 """A marker that is seen again is gone to by degrees, this quickly; not where it is farther away, or no marker was seen before."""
+FOLLOWS_S = 0.1
+"""A marker that is doubtful is followed this slowly: in the mean it is nearer to where it should be than any guess."""
 STILL_M = 0.12
 """Who stands for the calibration keeps hips, knees, ankles and shoulders within this distance."""
 NEEDED = 8
@@ -29,15 +31,21 @@ NEEDED = 8
 
 @kernel
 def gather(
-    row: Samples, columns: Times, axes: Times, signs: Samples, marks: Samples, seen: Array, counts: Samples
-) -> int:
-    """Landmarks (m, 3) in metres, y up, from a sample `row` (width,); one that lacks a point is not `seen`. Returns how many are."""
+    row: Samples, sure: Array, columns: Times, axes: Times, signs: Samples, marks: Samples, seen: Array, hinted: Array,
+    counts: Samples,
+) -> int:  # fmt: skip
+    """Landmarks (m, 3) in metres, y up, from a sample `row` (width,); one that lacks a point is not `seen`. Returns how many are.
+
+    sure    (points,)  which points are sure; a landmark with another one is not seen, but only `hinted` at (m,)
+    """
     marks[:] = 0.0
     seen[:] = True
+    hinted[:] = False
     counts[:] = 0.0
     for c in range(columns.shape[0]):
         k = columns[c, 3]
         counts[k] += 1.0
+        hinted[k] = hinted[k] or not sure[columns[c, 0] // 3]
         for a in range(3):
             v = row[columns[c, axes[a]]]
             if v != v:
@@ -46,10 +54,13 @@ def gather(
     found = 0
     for k in range(marks.shape[0]):
         seen[k] = seen[k] and counts[k] > 0.0
+        hinted[k] = hinted[k] and seen[k]
         if seen[k]:
-            found += 1
             for a in range(3):
                 marks[k, a] /= counts[k]
+        if hinted[k]:
+            seen[k] = False
+        found += seen[k]
     return found
 
 
@@ -76,6 +87,7 @@ def complete_marks(
     marks: Samples,
     before: Samples,
     seen: Array,
+    hinted: Array,
     present: Array,
     doubts: Samples,
     eases: Samples,
@@ -85,11 +97,12 @@ def complete_marks(
     """Put guesses in place of landmarks that are present in the stream and not seen now; returns how many are seen after the doubtful
     ones, and whether any was in the sample before.
 
-    before  (m, 3) where the landmarks were; a guess has moved with the trunk   doubts (m,) for how many samples each has been doubted
+    before  (m, 3) where the landmarks were; a guess has moved with the trunk, and towards the marker where that is `hinted` at (m,)
+    doubts  (m,)   for how many samples each has been doubted
     eases  (m, 4)  how far each still is from its marker since it was seen again, and whether it was guessed in the sample before
     """
     shift_of(marks, before, seen, shift)
-    ease, followed = math.exp(-dt / EASES_S), 0
+    ease, share, followed = math.exp(-dt / EASES_S), 1.0 - math.exp(-dt / FOLLOWS_S), 0
     for k in range(marks.shape[0]):
         followed += present[k] and eases[k, 3] == 0.0
     limit = LEAP_M + LEAP_M_S * dt
@@ -117,7 +130,8 @@ def complete_marks(
                 marks[k, a] += eases[k, a]
         else:
             for a in range(3):
-                marks[k, a] = before[k, a] + shift[a]
+                expected = before[k, a] + shift[a]
+                marks[k, a] = expected + share * (marks[k, a] - expected) if hinted[k] else expected
         eases[k, 3] = 0.0 if seen[k] else 1.0
     return found, followed > 0
 

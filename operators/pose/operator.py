@@ -20,16 +20,21 @@ from kinegraph.stream.data.model_file import Model, ModelError, read_model
 from kinegraph.stream.domain.axes import BODY, in_axes
 from kinegraph.stream.domain.humanoid import BONES, PARENTS, usual_body
 from kinegraph.stream.domain.skeleton import JointTree, joints_of
-from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.errors import InputError, ParameterError
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
+MODELS = {"people": Path(__file__).with_name("people.npz")}
+"""The models that come with kinegraph, by the word that stands for each in `model`; `python -m bench.pose_model` makes them."""
 NOTES = ("left foot stands", "right foot stands", "calibrated", "outside")
 
 
 @dataclass(slots=True)
 class WholePoseState:
-    """What is remembered from one sample to the next; see `Solver`, and for `tally` (15,) operators/pose/upright.py."""
+    """What is remembered from one sample to the next; see `Solver`, and for `tally` (15,) operators/pose/upright.py.
+
+    doubtful  (points,)  which points were doubtful at the stamp `at` (1,)
+    """
 
     seen: Array
     doubts: Samples
@@ -51,6 +56,8 @@ class WholePoseState:
     eases: Samples
     flags: Samples
     tally: Samples
+    doubtful: Array
+    at: Times
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +82,8 @@ class _Solving(Operator[WholePoseState]):
 class WholePose(_Solving):
     """Markers of a body (points, 3) in; out comes the pose of a humanoid skeleton, at every sample, whatever the markers lack.
 
+    confidence  how sure each of the points is, 0 to 1, at the same stamps: one below `least` is followed slowly, and its bones are flagged
+
     pose     root position and a quaternion for each of VRM's bones (stream/domain/skeleton.py, stream/domain/humanoid.py); never NaN
     joints   where the joints are with this body's bone lengths, (22, 3) m, y up
     quality  for each bone 1 while it is guessed, because a marker of its limb is not seen; whether the left and the right foot stand;
@@ -96,9 +105,12 @@ class WholePose(_Solving):
     (array([0.11, 0.95, 0.04]), array([0.  , 0.94, 0.01]))
     """
 
-    inputs = {"in": Input(finite=True)}
+    inputs = {"confidence": Input(optional=True), "in": Input(finite=True, trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("pose", "joints", "quality")
-    model: Path | None = param(None, help="what `kinegraph motion train pose` has made; left out: by geometry alone")
+    model: Path | None = param(
+        None,
+        help="what `kinegraph motion train pose` has made, or `people`, for a camera's markers; left out: by geometry alone",
+    )
     landmarks: Mapping[str, tuple[str, ...]] | None = param(None, help="landmark: [point, ...], where names do not say")
     up: Literal["y", "z", "-y"] | None = param(None, help=f"{HELP} y")
     calibrate_s: float = param(
@@ -106,19 +118,24 @@ class WholePose(_Solving):
     )
     feet: bool = param(True, help="whether a foot that stands is kept where it is")
     turn_rad_s: float = param(20.0, above=0.0, help="no bone turns faster")
+    least: float = param(0.5, least=0.0, most=1.0, help="a point with less confidence is doubtful; 0: not given at all")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         unit = length_of(spec)
         found, columns = find_landmarks(spec, self.landmarks or {})
-        learned = regression_of(read_model(self.model, "pose")) if self.model else no_regression()
+        model = MODELS.get(str(self.model), self.model)
+        learned = regression_of(read_model(model, "pose")) if model else no_regression()
         if missing := [NAMES[k] for k in learned.learned.chosen if NAMES[k] not in found]:
             what = f"has no {missing[0]}, which {self.model} was trained for; it has {', '.join(found)}"
             raise ParameterError("model", str(self.model), f"a model for these markers: the input {what}")
         own = axes_of(spec, self.up, "y")
         axes, signs = own.to(BODY)
         size = metres(unit)
-        state = start(learned.tree)
+        points = spec.shape[0] if len(spec.shape) == 2 else spec.shape[0] // 3
+        if (given := specs.get("confidence")) and given.shape != (points,):
+            raise InputError("confidence", given.describe(), f"one number for each of the {points} points of `in`")
+        state = start(learned.tree, points)
         state.tally[RATE] = spec.rate_hz or 30.0
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "upward", own.up)
@@ -145,19 +162,31 @@ class WholePose(_Solving):
     def _bind(self, columns: Times, axes: Times, signs: Samples, present: Array) -> None:
         """Gather what the kernel works on: the state's arrays, which stay the same ones, and what does not change."""
         r, m = self.learned, len(NAMES)
-        state = {f.name: getattr(self.state, f.name) for f in fields(WholePoseState) if f.name != "tally"}
+        state = {
+            f.name: getattr(self.state, f.name)
+            for f in fields(WholePoseState)
+            if f.name not in ("tally", "doubtful", "at")
+        }
         solver = Solver(
-            columns=columns, axes=axes, signs=signs, present=present, counts=np.zeros(m), from_bone=FROM_BONE, bone_of=BONE_OF,
+            columns=columns, axes=axes, signs=signs, present=present, hinted=np.zeros(m, np.bool_), counts=np.zeros(m),
+            from_bone=FROM_BONE, bone_of=BONE_OF,
             usual=r.tree.offsets, parents=r.tree.parents, learned=r.learned, work=np.zeros((9, 4)), **state,
         )  # fmt: skip
         object.__setattr__(self, "solver", solver)
 
     def process(self, port: str, chunk: Chunk) -> Sequence[tuple[str, Chunk]]:
+        state = self.state
+        if port == "confidence":
+            if len(chunk.time):
+                state.doubtful[:], state.at[0] = (chunk.data[-1] > 0.0) & (chunk.data[-1] < self.least), chunk.time[-1]
+            return []
         n, bones = len(chunk.time), len(BONES)
+        sure = np.ones((n, len(state.doubtful)), np.bool_)
+        sure[chunk.time == state.at[0]] = ~state.doubtful
         pose, joints, quality = np.empty((n, 3 + 4 * bones)), np.empty((n, bones, 3)), np.empty((n, bones + len(NOTES)))
         if n:
             solve(
-                chunk.data, chunk.time, self.solver, self.needed, self.feet, self.turn_rad_s, pose, joints, quality
+                chunk.data, sure, chunk.time, self.solver, self.needed, self.feet, self.turn_rad_s, pose, joints, quality
             )  # fmt: skip
             self._watch(joints, quality)
         made = zip(self.outputs, (pose, joints, quality), strict=True)
@@ -185,10 +214,14 @@ class WholePose(_Solving):
         spec = StreamSpec((13, 3), rate_hz=30.0, channels=NAMES[:13], units=("m",))
         gone = marks.copy()
         gone[60:80, [4, 10]] = np.nan
+        sure, trust = StreamSpec((13,), rate_hz=30.0, channels=NAMES[:13]), rng.uniform(0.3, 1.0, (120, 13))
         few = StreamSpec((5, 3), rate_hz=30.0, channels=tuple(NAMES[k] for k in (4, 5, 10, 11, 12)), units=("mm",))
         return [
             Case(cls(), {"in": (spec, grid(30.0, 120), marks)}, least=360),
             Case(cls(turn_rad_s=2.0), {"in": (spec, grid(30.0, 120), gone)}, least=360),
+            Case(
+                cls(), {"confidence": (sure, grid(30.0, 120), trust), "in": (spec, grid(30.0, 120), marks)}, least=360
+            ),
             Case(
                 cls(calibrate_s=0.0, feet=False),
                 {"in": (few, grid(30.0, 120), 1e3 * marks[:, [4, 5, 10, 11, 12]])},
@@ -206,8 +239,8 @@ def no_regression() -> Regression:
     )
 
 
-def start(tree: JointTree) -> WholePoseState:
-    """A body at rest of which nothing has been seen."""
+def start(tree: JointTree, points: int) -> WholePoseState:
+    """A body at rest of which nothing has been seen; its stream has this number of `points`."""
     bones, m = len(BONES), len(PLACES)
     still = np.tile([1.0, 0.0, 0.0, 0.0], (bones, 1))
     memory = np.zeros(9)
@@ -218,6 +251,7 @@ def start(tree: JointTree) -> WholePoseState:
         joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 22)), speeds=np.zeros((bones, 3)),
         bends=np.zeros((4, 4)),
         head=np.zeros(9), eases=np.zeros((m, 4)), flags=np.ones(bones), tally=np.zeros(15),
+        doubtful=np.zeros(points, np.bool_), at=np.full(1, -1, np.int64),
     )  # fmt: skip
 
 

@@ -45,7 +45,7 @@ class Solver(NamedTuple):
     """What the kernel works on; m landmarks, 22 bones.
 
     columns  (k, 4)  columns of x, y and z of a point, and its landmark   axes, signs (3,)  which of these are x, y and z, and their scale
-    present  (m,)    which landmarks the stream has      seen (m,) which of them it shows now     doubts, counts (m,)
+    present  (m,)    which landmarks the stream has      seen (m,) which of them it shows now     hinted, doubts, counts (m,)
     marks, before, total (m, 3)  where landmarks are, where they were, their sum while standing
     from_bone (m, 3), bone_of (m,)  where landmarks are from which joint
     usual, offsets (22, 3)  the skeleton as given and as calibrated; parents (22,)
@@ -60,6 +60,7 @@ class Solver(NamedTuple):
     signs: Samples
     present: Array
     seen: Array
+    hinted: Array
     doubts: Samples
     counts: Samples
     marks: Samples
@@ -137,12 +138,14 @@ def begin(s: Solver, found: int) -> bool:
 
 
 @kernel
-def believe(row: Samples, dt: float, frames: int, s: Solver) -> bool:
+def believe(row: Samples, sure: Array, dt: float, frames: int, s: Solver) -> bool:
     """The landmarks of a sample into `marks`, with guesses for those that are not seen; returns whether there is anything to go by."""
-    found = gather(row, s.columns, s.axes, s.signs, s.marks, s.seen, s.counts)
+    found = gather(row, sure, s.columns, s.axes, s.signs, s.marks, s.seen, s.hinted, s.counts)
     if s.memory[STARTED] == 0.0 and not begin(s, found):
         return False
-    found, followed = complete_marks(s.marks, s.before, s.seen, s.present, s.doubts, s.eases, dt, s.work[0, :3])
+    found, followed = complete_marks(
+        s.marks, s.before, s.seen, s.hinted, s.present, s.doubts, s.eases, dt, s.work[0, :3]
+    )
     s.memory[LEAPT] = 0.0 if followed else 1.0
     s.before[:] = s.marks
     if s.memory[CALIBRATED] == 0.0 and frames and found:
@@ -202,16 +205,17 @@ def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float) -> No
 
 @kernel
 def solve(
-    rows: Samples, time: Times, s: Solver, frames: int, feet: bool, turn_rad_s: float,
+    rows: Samples, sure: Array, time: Times, s: Solver, frames: int, feet: bool, turn_rad_s: float,
     poses: Samples, joints: Samples, quality: Samples,
 ) -> None:  # fmt: skip
-    """Poses (n, 3 + 4 * 22), joints (n, 22, 3) and what is known of them (n, 22 + 4) of the samples `rows` (n, width)."""
+    """Poses (n, 3 + 4 * 22), joints (n, 22, 3) and what is known of them (n, 22 + 4) of the samples `rows` (n, width), of
+    which the points `sure` (n, points) are to be trusted."""
     for i in range(rows.shape[0]):
         now = time[i] * 1e-9
         dt = min(max(now - s.memory[LAST], STEPS_S[0]), STEPS_S[1])
         first = s.memory[STARTED] == 0.0
         s.memory[LAST] = now
-        if believe(rows[i], dt, frames, s):
+        if believe(rows[i], sure[i], dt, frames, s):
             s.memory[OUTSIDE] = 0.0
             move(s, dt, first, feet, turn_rad_s)
             if not first:

@@ -13,7 +13,7 @@ from kinegraph.operators.inputs.directions import turned_to
 from kinegraph.operators.inputs.lengths import length_of, metres
 from kinegraph.operators.inputs.marker_columns import marker_columns
 from kinegraph.operators.steering.model.stored import KIND, MAKER, from_model
-from kinegraph.operators.steering.operator import QUADRUPED
+from kinegraph.operators.steering.operator import model_file
 from kinegraph.stream.chunk import Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.data.model_file import read_model
 from kinegraph.stream.domain.axes import Axes, in_axes
@@ -109,13 +109,13 @@ class Actors(_Cast):
     limbs: Mapping[str, tuple[str, str]] = param(
         help="the model's marker: [actor's marker, the marker that it is seen from]"
     )
-    model: Path | None = param(None, help="the model that is steered; left out: the simple quadruped")
+    model: Path | None = param(None, help="the model that is steered, or `dog`; left out: the simple quadruped")
     learn_s: float = param(3.0, above=0.0, help="how long an actor's range of motion is learned")
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         unit = length_of(spec)
-        model = read_model(self.model or QUADRUPED, KIND, MAKER)
+        model = read_model(model_file(self.model), KIND, MAKER)
         learned, _ = from_model(model)
         axes = Axes.from_facts(model.header.get("axes"))
         order, signs = turned_to(axes, spec)

@@ -21,6 +21,7 @@ from kinegraph.operators.steering.model.assemble_kernel import (
     put,
 )
 from kinegraph.operators.steering.model.fit import Steering
+from kinegraph.operators.steering.model.ground import MOST, around_feet, stand_on_ground
 from kinegraph.operators.steering.model.marker_frame import see_from
 from kinegraph.operators.steering.model.part import Part
 from kinegraph.operators.steering.model.pose_parameters import tell_pose
@@ -31,7 +32,7 @@ from kinegraph.operators.steering.model.skeleton import hang
 from kinegraph.operators.steering.model.soft import faded, pull_mesh
 from kinegraph.operators.steering.model.stored import KIND, MAKER, from_model
 from kinegraph.operators.steering.swapped_markers import NAMED, ExchangedNames
-from kinegraph.stream.chunk import Array, Chunk, Samples, Specs, StreamSpec, Times
+from kinegraph.stream.chunk import NS, Array, Chunk, Samples, Specs, StreamSpec, Times
 from kinegraph.stream.data.model_file import read_model
 from kinegraph.stream.domain.axes import Axes, in_axes
 from kinegraph.stream.errors import InputError, ParameterError, nearest
@@ -39,13 +40,21 @@ from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 QUADRUPED = Path(__file__).with_name("quadruped.npz")
+MODELS = {"quadruped": QUADRUPED, "dog": Path(__file__).with_name("dog.npz")}
+"""The models that come with kinegraph, by the word that stands for each in `model`."""
+
+
+def model_file(model: Path | None) -> Path:
+    """The file of a model, or of the one that comes with kinegraph under this word; of the simple quadruped without one."""
+    return MODELS.get(str(model), model) if model else QUADRUPED
 
 
 @dataclass(slots=True)
 class SteerMeshState:
     """known (m,): which markers have been seen; marks (m, 3) from the centre (3,) of the references, turned back by the heading (2,);
     latest (v, 3), the newest mesh; earlier (m, 3), the marks of the sample before; begun (1,), whether there was one; names:
-    of which markers the names seem to be exchanged."""
+    of which markers the names seem to be exchanged; travelled (3,) and feet (k, 9): see operators/steering/model/ground.py; last (1,), the
+    newest stamp."""
 
     known: Array
     marks: Samples
@@ -56,12 +65,17 @@ class SteerMeshState:
     earlier: Samples
     begun: Array
     names: ExchangedNames
+    travelled: Samples
+    feet: Samples
+    last: Times
 
 
 class _Steered(Operator[SteerMeshState]):
     """What does not change while samples come: the model, the columns of its markers, and room."""
 
-    __slots__ = ("columns", "learned", "regions", "room", "scale", "together")
+    __slots__ = ("around", "columns", "feet", "learned", "regions", "room", "scale", "together")
+    around: Samples
+    feet: Times
     learned: Steering
     columns: Times
     scale: Samples
@@ -90,7 +104,8 @@ class SteerMesh(_Steered):
 
     Thesis 9.3 and 9.4, with kernel ridge for the linear maps, and every part placed by its own regression instead of one after the other:
     on the horse that halves the error. Alignment and blending (9.16) are by weights along the surface. Marked vertices are soft constraints
-    (9.14): what the mesh is off by at its markers is taken back around them, as far as that helped in frames left out of the training.
+    (9.14): what the mesh is off by at its markers is taken back around them, as far as that helped in frames left out of the training. Feet
+    of `ground` do not slide (9.6): the mesh goes on over those that are down, and each is held where it came down.
 
     >>> given, made = tried(SteerMesh)
     >>> given["in"].shape, made["mesh"][-1, 0].round(2)
@@ -101,20 +116,32 @@ class SteerMesh(_Steered):
     outputs: ClassVar[tuple[str, ...]] = ("mesh", "quality", "names")
 
     model: Path | None = param(
-        None, help="what `kinegraph motion train steering` has made; left out: a simple quadruped, to try things with"
+        None,
+        help="what `kinegraph motion train steering` has made, or `dog`; left out: a simple quadruped, to try things with",
     )
     markers: Mapping[str, str] | None = param(None, help="marker of the model: point of the input, where names differ")
+    ground: tuple[str, ...] = param(
+        (), help="markers of the model that are feet: one that is down keeps its place (y is up)"
+    )
 
     def open(self, specs: Specs) -> Specs:
         spec = specs["in"]
         unit = length_of(spec)
-        model = read_model(self.model or QUADRUPED, KIND, MAKER)
+        model = read_model(model_file(self.model), KIND, MAKER)
         learned, mesh = from_model(model)
         axes = Axes.from_facts(model.header.get("axes"))
         order, signs = turned_to(axes, spec)
         columns = [[at[a] for a in order] for at in self._columns(spec, learned.markers)]
         m = len(learned.markers)
         rest = resting(learned, mesh.vertices)
+        for name in self.ground:
+            if name not in learned.markers:
+                raise ParameterError(
+                    "ground", list(self.ground), f"markers of the model: {nearest(name, learned.markers)}"
+                )
+        feet = np.array([learned.markers.index(name) for name in self.ground], np.int64)
+        object.__setattr__(self, "feet", feet)
+        object.__setattr__(self, "around", around_feet(rest, learned.vertices[feet]))
         object.__setattr__(self, "learned", learned)
         object.__setattr__(self, "columns", np.array(columns, np.int64))
         object.__setattr__(self, "scale", metres(unit) * np.array(signs))
@@ -136,6 +163,9 @@ class SteerMesh(_Steered):
                 np.zeros((m, 3)),
                 np.zeros(1, np.bool_),
                 ExchangedNames.empty(),
+                np.array([0.0, 0.0, np.inf]),
+                np.zeros((len(feet), 9)),
+                np.zeros(1, np.int64),
             )
         )
         meta = {key: value for key, value in in_axes(spec, axes).items() if key != "skeleton"}
@@ -196,6 +226,8 @@ class SteerMesh(_Steered):
                     )
                 if len(learned.facing):
                     put(s.centre, s.heading, learned.reach, s.latest)
+                if len(self.feet):
+                    self._stand(int(chunk.time[i]))
             made[i], quality[i] = s.latest, s.outside
             marks = self.scale * chunk.data[i][self.columns]
             seen, far, now = bool(np.isfinite(marks).all()), float(s.outside[0]), int(chunk.time[i])
@@ -209,6 +241,16 @@ class SteerMesh(_Steered):
                 Chunk(np.array([row[0] for row in events], np.int64), np.array(events, NAMED), chunk.until, chunk.lost),
             ),
         ]
+
+    def _stand(self, now: int) -> None:
+        """Keep the feet that are down where they are."""
+        s, learned = self.state, self.learned
+        dt = min(max((now - int(s.last[0])) / NS, 0.0), 0.1) if s.last[0] else 0.0
+        s.last[0] = now
+        high = float(np.ptp(s.latest[:, 1]))
+        stand_on_ground(
+            s.latest, learned.vertices[self.feet], learned.spread[self.feet, 1], self.around, MOST * high, dt, s.travelled, s.feet
+        )  # fmt: skip
 
     def _told(self) -> Samples:
         """The features of the pose: the markers' positions, or the angles, lengths and directions of the model's graph."""
@@ -260,7 +302,8 @@ class SteerMesh(_Steered):
         rows = rng.normal(0.0, 0.02, (60, 6, 3)).cumsum(axis=0) + from_model(read_model(QUADRUPED, KIND))[0].usual
         rows[20:25, 1] = np.nan
         spec = StreamSpec((6, 3), rate_hz=30.0, channels=names, units=("m",))
-        return [Case(cls(), {"in": (spec, grid(30.0, 60), rows.reshape(60, -1))}, least=120)]
+        given = {"in": (spec, grid(30.0, 60), rows.reshape(60, -1))}
+        return [Case(cls(), given, least=120), Case(cls(ground=names[:4]), given, least=120)]
 
 
 def _modes(part: Part) -> Samples:

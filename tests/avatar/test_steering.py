@@ -21,7 +21,7 @@ from kinegraph.operators.steering.model.parts import (
 )
 from kinegraph.operators.steering.model.regression import learn
 from kinegraph.operators.steering.model.stored import KIND, from_model
-from kinegraph.operators.steering.operator import QUADRUPED, SteerMesh
+from kinegraph.operators.steering.operator import MODELS, QUADRUPED, SteerMesh
 from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
 from kinegraph.stream.cli import main as cli
 from kinegraph.stream.data.model_file import ModelError, read_model, write_model
@@ -284,14 +284,44 @@ def test_a_model_of_something_else_and_a_recording_of_another_mesh_are_refused(t
         cli.call("motion train steering", [*map(str, arguments)])
 
 
-@pytest.mark.parametrize(("config", "source"), [("steer_mesh", "animal"), ("steer_horse", "people")])
-def test_the_shipped_configs_run_as_they_stand(config: str, source: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("config", "source", "name"), [("steer_mesh", "animal", "steer.mesh"), ("steer_horse", "people", "dog.steer.mesh")]
+)
+def test_the_shipped_configs_run_as_they_stand(config: str, source: str, name: str, tmp_path: Path) -> None:
     quick = ("--set", f"{source}.realtime=false", "--set", f"{source}.duration_s=6")
     kinegraph("run", config, "-o", tmp_path / "run", "--view", "lines", *quick)
+    steered = topology() if source == "animal" else from_model(read_model(MODELS["dog"], KIND))[1]
     with Recording.open(tmp_path / "run") as recording:
-        _, mesh = recording.read("steer.mesh")
-        assert recording.streams["steer.mesh"].spec.meta["mesh"]["topology"] == topology().hash
-    assert mesh.shape == (180, 432, 3) and np.isfinite(mesh).all() and np.ptp(mesh[120:], axis=0).max() > 0.2
+        _, mesh = recording.read(name)
+        assert recording.streams[name].spec.meta["mesh"]["topology"] == steered.hash
+    assert mesh.shape == (180, steered.vertices, 3) and np.isfinite(mesh).all()
+    assert np.ptp(mesh[120:], axis=0).max() > 0.2
+
+
+def test_a_foot_that_is_down_keeps_its_place_and_the_mesh_goes_on_over_it() -> None:
+    """Markers of a walk on the spot: without ground the hooves slide back, with it the animal walks forward."""
+    feet = tuple(name for name in NAMES if name.startswith("hoof"))
+    marks = np.concatenate([STRIDE] * 3)[:, NUMBERS]
+    spec = StreamSpec((len(NAMES), 3), rate_hz=24.0, channels=NAMES, units=("m",))
+    slides, meshes = [], []
+    for ground in ((), feet):
+        operator = SteerMesh(ground=ground)
+        operator.open({"in": spec})
+        made = dict(operator.process("in", Chunk(grid(24.0, len(marks)), marks.reshape(len(marks), -1), 0)))
+        meshes.append(made["mesh"].data[24:])
+        at = meshes[-1][:, [marked()[name] for name in feet]]
+        low = at[..., 1] < at[..., 1].min(axis=0) + 0.004
+        moved = np.linalg.norm(np.diff(at[..., [0, 2]], axis=0), axis=-1)
+        slides.append(float(np.percentile(moved[low[1:] & low[:-1]], 90)))
+    assert slides[0] > 0.005 and slides[1] < 0.001, slides
+    assert meshes[1][-1, :, 2].mean() - meshes[1][0, :, 2].mean() > 0.3, "forward"
+    shape = [mesh - mesh.mean(axis=1, keepdims=True) for mesh in meshes]
+    assert np.linalg.norm(shape[0] - shape[1], axis=-1).mean() < 0.03
+
+
+def test_feet_that_the_model_does_not_have_are_refused() -> None:
+    with pytest.raises(ParameterError, match="did you mean 'hoof_f"):
+        SteerMesh(ground=("hoof_f",)).open({"in": StreamSpec((6, 3), channels=NAMES, units=("m",))})
 
 
 def mesh_files(folder: Path, frames: int, *, holes: bool = False, apart: bool = False) -> Path:

@@ -77,6 +77,13 @@ class Mark(msgspec.Struct, tag="mark", tag_field="do", forbid_unknown_fields=Tru
     at: float | None = None
 
 
+class RecordTake(msgspec.Struct, tag="take", tag_field="do", forbid_unknown_fields=True):
+    """Begin a take of what the avatar does, or end it."""
+
+    name: str
+    on: bool
+
+
 class Tell(msgspec.Struct, tag="tell", tag_field="do", forbid_unknown_fields=True):
     """Change a value."""
 
@@ -102,7 +109,7 @@ class Seek(msgspec.Struct, tag="seek", tag_field="do", forbid_unknown_fields=Tru
     to: float
 
 
-Asked: TypeAlias = See | Look | Analyse | Mark | Tell | SetPace | StepOn | Seek
+Asked: TypeAlias = See | Look | Analyse | Mark | RecordTake | Tell | SetPace | StepOn | Seek
 _asked = msgspec.json.Decoder(Asked)
 
 
@@ -120,6 +127,8 @@ def asked(message: str | bytes) -> Asked:
             raise ValueError("a client asks for an impossible time")
         case Mark(text, at) if not text.strip() or len(text) > MAX_TEXT or (at is not None and not -1e9 < at < 1e9):
             raise ValueError(f"an annotation has 1 to {MAX_TEXT} characters")
+        case RecordTake(name) if len(name) > MAX_TEXT:
+            raise ValueError("a name that is too long")
         case Tell(node, text) if len(node) > 200 or len(text) > MAX_TEXT:
             raise ValueError("a value that is too long")
         case SetPace(speed) if not 0 <= speed <= 1000:

@@ -344,7 +344,7 @@ class Main implements Page {
     }
     const { button: hold, step, speed, whole } = this.replayer;
     if (hello.mode === "replay") return this.controls.replaceChildren(hold, step, speed, whole, this.windows, ...last);
-    const marking = hello.mode === "live" && !this.over && !EMBEDDED ? [this.mark, button, ...this.words(hello.words ?? [])] : [];
+    const marking = hello.mode === "live" && !this.over && !EMBEDDED ? [this.mark, button, ...this.words(hello.words ?? []), ...(hello.takes ? [this.takes()] : [])] : [];
     this.controls.replaceChildren(...values, this.windows, this.pause, ...marking, ...last);
   }
 
@@ -389,6 +389,22 @@ class Main implements Page {
     };
     button.onclick = say;
     field.onkeydown = (event) => { if (event.key === "Enter") say(); };
+    return make("span", { class: "word" }, button, field);
+  }
+
+  /** A button that records what the avatar does, from one press to the next, under the name in the field beside it. */
+  private takes(): HTMLElement {
+    const field = make("input", { type: "text", maxlength: "64", placeholder: "name of the take", "aria-label": "name of the take" });
+    const button = make("button", { type: "button", "aria-pressed": "false", title: "record what the avatar does; a second press writes its files" }, "take");
+    button.onclick = () => {
+      const on = button.getAttribute("aria-pressed") !== "true";
+      const name = field.value.trim() || "take";
+      if (!this.connection.ask({ do: "take", name, on })) return this.say("not connected: no take");
+      button.setAttribute("aria-pressed", String(on));
+      button.textContent = on ? "end take" : "take";
+      field.disabled = on;
+      this.say(on ? `recording: ${name}` : `take written: ${name} (.vrma and .bvh, beside the recording)`);
+    };
     return make("span", { class: "word" }, button, field);
   }
 

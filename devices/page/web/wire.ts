@@ -55,6 +55,7 @@ export interface Hello {
   edges: [string, string, string][];
   values: ValueInfo[];
   words?: string[];
+  takes?: boolean;
   panels: PanelInfo[];
   length_s?: number; whole?: boolean;
   spans?: [number, number, number][];

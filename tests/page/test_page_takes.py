@@ -1,0 +1,76 @@
+"""Takes that are recorded on the page: between two presses of a button, as a VRM animation and as BVH."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kinegraph.devices.formats.bvh.reader import read_bvh
+from kinegraph.devices.page.hub import Hub
+from kinegraph.devices.page.takes import Takes
+from kinegraph.devices.page.transfer.wire import RecordTake, asked
+from kinegraph.devices.people.performer import true_pose
+from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.domain.humanoid import usual_body
+from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.operator import grid
+from tests.files.test_motion_out import gltf_of, is_vrm_animation, numbers
+
+TREE = usual_body()
+POSES = np.array([true_pose(2.0 + k / 30) for k in range(60)])
+PANELS = [{"kind": "signal", "of": ["body.quality"]}, {"kind": "avatar", "of": ["body.pose"]}]
+
+
+@pytest.fixture
+def live() -> tuple[Takes, Any]:
+    """Takes of a session, and what its stream of poses brings chunks to."""
+    takes, edge = Takes(PANELS, {"body.pose": TREE.spec(30.0)}), SimpleNamespace(observers=[])
+    takes.observe(SimpleNamespace(edges={"body.pose": edge}))  # type: ignore[arg-type]
+    (observe,) = edge.observers
+    return takes, lambda a, b: observe(Chunk(grid(30.0, 60)[a:b], POSES[a:b], 0))
+
+
+def test_a_take_holds_what_came_between_two_presses(live: tuple[Takes, Any], tmp_path: Path) -> None:
+    takes, comes = live
+    comes(0, 10)
+    assert takes.begin(" my <dance> ") == "my_dance"
+    comes(10, 30)
+    comes(30, 50)
+    files = takes.end(tmp_path / "takes")
+    comes(50, 60)
+    assert [file.name for file in files] == ["my_dance.vrma", "my_dance.bvh"]
+    document, data = gltf_of(files[0])
+    is_vrm_animation(document, data, POSES[10:50])  # type: ignore[arg-type]
+    (animation,) = document["animations"]  # type: ignore[misc]
+    assert numbers(document, data, animation["samplers"][0]["input"])[[0, -1]] == pytest.approx([0.0, 39 / 30])
+    assert len(read_bvh(files[1], "cm")[0].data) == 40
+
+
+def test_no_take_is_overwritten_and_an_empty_one_is_refused(live: tuple[Takes, Any], tmp_path: Path) -> None:
+    takes, comes = live
+    names = []
+    for called in ("", "take", "../../etc"):
+        takes.begin(called)
+        comes(0, 5)
+        names += [file.relative_to(tmp_path).as_posix() for file in takes.end(tmp_path) if file.suffix == ".bvh"]
+    assert names == ["take.bvh", "take-2.bvh", "etc.bvh"]
+    takes.begin("silent")
+    with pytest.raises(KinegraphError, match="no pose has come"):
+        takes.end(tmp_path)
+    with pytest.raises(KinegraphError, match="no take runs"):
+        takes.end(tmp_path)
+
+
+def test_a_page_without_an_avatar_and_a_replay_record_no_takes() -> None:
+    assert Takes(PANELS[:1], {"body.quality": TREE.spec(30.0)}).name == ""
+    hub = Hub(lambda wanted: pytest.fail("nothing reaches the session"))
+    wish = asked('{"do": "take", "name": "a", "on": true}')
+    assert wish == RecordTake("a", True)
+    for hello in ({"mode": "live", "takes": False}, {"mode": "replay", "takes": True}):
+        hub.hello = hello
+        with pytest.raises(ValueError, match=r"avatar|replay"):
+            hub.take(hub.visitor(), wish)
