@@ -10,6 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from kinegraph.devices.reports.session.contents.labels import UNITS
 from kinegraph.stream.cli.commands.graph_help import outermost, present
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.graph.components import find
@@ -66,7 +67,11 @@ def _facts(top: Mapping[str, Located], settings: Mapping[str, GraphSetting]) -> 
     )
     for name, value in facts.items():
         if isinstance(value, str | int | float):
-            yield _field(f"session.{name}", GraphSetting(label=name.replace("_", " "), type=_type(value)), value)
+            unit = next((end for end in sorted(UNITS, key=len, reverse=True) if name.endswith(f"_{end}")), "")
+            label = name.removesuffix(f"_{unit}").replace("_", " ")
+            yield _field(
+                f"session.{name}", GraphSetting(label=label, unit=UNITS.get(unit, ""), type=_type(value)), value
+            )
 
 
 def _session(top: Mapping[str, Located]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ USES = {
     "count_repetitions": ("Repetitions", "Exercises found, named and counted, from one sensor"),
     "segment_mocap": (
         "Repetitions, whole body",
-        "Squats, arm raises, knee lifts, waves, found and counted, from the skeleton of a simulated person",
+        "Squats, arm raises and more, of a simulated person's skeleton",
     ),
     "step_biometrics": ("Steps", "Every step from one sensor, and the manner of walking"),
     "avatar": ("Avatar, with a camera", "An avatar that follows a person before a depth camera"),

@@ -55,6 +55,11 @@ def test_every_use_has_a_form_that_asks_for_a_subject(name: str) -> None:
     assert all(field["label"] for field in form["fields"])
 
 
+def test_a_units_place_is_behind_the_name_of_a_fact() -> None:
+    speed = fields(shipped()["treadmill_emg"])["session.speed_m_s"]
+    assert (speed["label"], speed["unit"]) == ("speed", "m/s")
+
+
 def test_a_preset_is_a_graph_that_run_takes(unseen: Path, tmp_path: Path) -> None:
     preset = tmp_path / "preset.yaml"
     preset.write_text(rewritten(unseen, {"session.subject": "P07", "muscles": ["GM"], "smooth": 12}))

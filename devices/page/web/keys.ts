@@ -3,6 +3,7 @@
 import { make } from "./panel";
 
 const KEYS: Record<string, [string, string][]> = {
+  lab: [],
   live: [["M", "mark this moment, with a word"], ["0 to 9", "mark at once"], ["P", "hold the view; the session goes on"]],
   replay: [["space", "hold or go on"], ["→", "a step"]],
   recording: [["space", "play or hold"], ["← →", "move; with Shift, further"], ["G", "the next gap"], ["M", "mark this moment"], ["0 to 9", "mark at once"]],

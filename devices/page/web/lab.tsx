@@ -2,6 +2,7 @@
 
 import { render } from "preact";
 import { useEffect, useState } from "preact/hooks";
+import { showKeys } from "./keys";
 import { type Home, size } from "./lab_api";
 import { Library } from "./lab_library";
 import { usePolled } from "./lab_poll";
@@ -17,6 +18,19 @@ function useHash(): string {
     return () => removeEventListener("hashchange", heard);
   }, []);
   return hash;
+}
+
+/** "?" shows the keys: those of the session's page where there is one, which also has its own keys. */
+function keys(event: KeyboardEvent): void {
+  const typing = event.target instanceof HTMLInputElement || event.target instanceof HTMLTextAreaElement || event.target instanceof HTMLSelectElement;
+  if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+  const page = document.querySelector<HTMLIFrameElement>("iframe.page")?.contentWindow;
+  if (page && /^[?p0-9]$/.test(event.key)) page.dispatchEvent(new KeyboardEvent("keydown", { key: event.key }));
+  else if (event.key === "?") showKeys("lab");
+  else if (event.key === "m" && page) {
+    document.querySelector<HTMLInputElement>(".marking input")?.focus();
+    event.preventDefault();
+  }
 }
 
 function App() {
@@ -84,5 +98,6 @@ function turn(): void {
   localStorage.setItem("theme", document.documentElement.dataset["theme"] ?? "");
 }
 
+addEventListener("keydown", keys);
 theme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
 render(<App />, document.getElementById("app") as HTMLElement);

@@ -285,7 +285,7 @@ class Main implements Page {
     const head = panel.element.querySelector("header");
     if (panel.streams.length) head?.append(button("CSV", "save what is shown as a table", () => saveTable(panel, this.span())));
     if (panel instanceof GraphPanel) head?.append(button("SVG", "save as a drawing", () => drawing(panel)));
-    else if (panel.element.querySelector("canvas")) head?.append(button("PNG", "save as a picture", () => {
+    else if (panel.info.kind !== "table") head?.append(button("PNG", "save as a picture", () => {
       panel.draw(this.span());
       picture(panel);
     }));
