@@ -31,7 +31,7 @@ class Shown:
     above     see `count`
     between   two fields, the limits of what is shown, beside it
     since     since when the field has had its value, beside it
-    down_s    instead of a field: counts down from so many seconds since the newest event, while that one fits
+    down_s    instead of a field: a countdown from this since the newest event (s), while that one fits
     """
 
     of: str

@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.nightly, needs_page, needs_browser, pytest.mark.timeou
 MAX_CLICKS = 8
 """From an empty lab to the first live answer of a simulated device."""
 PAGE = "document.querySelector('iframe.page')?.contentDocument"
-UNSEEN = """# A use that nobody has seen.
+UNSEEN = """# A use that is new.
 settings:
   smooth: {label: Low-pass, unit: Hz, min: 1, max: 40, feeds: chain.cutoff_hz}
   method: {label: Method, choices: [fast, slow], default: fast}

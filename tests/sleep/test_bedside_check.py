@@ -46,7 +46,7 @@ def test_what_is_not_well_is_named_and_ends_with_2(kinegraph: Command, more: tup
     assert code == 2 and message in out
 
 
-def test_a_look_writes_thinned_frames_until_nobody_reads_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_look_writes_thinned_frames_until_its_reader_leaves(monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[bytes] = []
 
     def write(data: bytes) -> None:

@@ -10,9 +10,9 @@ const LABEL = 118;
 const [LANE, LANE_MOST] = [22, 40];
 const AXIS = 26;
 /** A state without an end lasts until the next one of the same sleeper or subject, unless it says that something has passed. */
-const [WHOSE, PASSED] = [["sleeper", "subject"], new Set(["out", "over", ""])];
+const [OWNER, PASSED] = [["sleeper", "subject"], new Set(["out", "over", ""])];
 const MOST_LANES = 24;
-/** Shades that nobody takes for an alarm. */
+/** Shades that are not taken for an alarm. */
 const CALM = [0, 2, 3, 6, 7, 4, 8, 9, 11];
 const MOST_ROWS = 60;
 
@@ -20,7 +20,7 @@ interface Lane { stream: Stream; label: string; kind: Cell; shade: number }
 
 const field = (stream: Stream, name: string): number => stream.info.fields.findIndex(([f]) => f === name) + 1;
 
-/** Where the kind of an event stands in its row; 0: it has none. */
+/** Where the kind of an event stands in its row; 0: nowhere. */
 function kindOf(stream: Stream): number {
   for (const name of KINDS) if (name !== "number" && field(stream, name)) return field(stream, name);
   return 0;
@@ -80,7 +80,7 @@ export class EventsPanel extends Panel {
 
   private drawLane(pen: CanvasRenderingContext2D, lane: Lane, top: number, tall: number, span: Span, x: (t: number) => number): number {
     const [onset, end, kind, final] = [field(lane.stream, "onset"), field(lane.stream, "end"), kindOf(lane.stream), field(lane.stream, "final")];
-    const whose = end || PASSED.has(String(lane.kind)) ? 0 : (WHOSE.map((name) => field(lane.stream, name)).find((i) => i > 0) ?? 0);
+    const owner = end || PASSED.has(String(lane.kind)) ? 0 : (OWNER.map((name) => field(lane.stream, name)).find((i) => i > 0) ?? 0);
     const rows = recent(lane.stream.rows, span);
     let drawn = 0;
     const alarm = ["state", "what", "advice"].every((name) => field(lane.stream, name));
@@ -88,8 +88,8 @@ export class EventsPanel extends Panel {
     for (const [i, row] of rows.entries()) {
       if (kind && (row[kind] ?? null) !== lane.kind) continue;
       const from = (onset ? row[onset] : row[0]) as number;
-      const next = whose ? rows.slice(i + 1).find((later) => later[whose] === row[whose]) : null;
-      const to = end ? (row[end] as number) : whose ? ((next ? next[onset || 0] : span.at) as number) : from;
+      const next = owner ? rows.slice(i + 1).find((later) => later[owner] === row[owner]) : null;
+      const to = end ? (row[end] as number) : owner ? ((next ? next[onset || 0] : span.at) as number) : from;
       if (to < span.begin || from > span.end) continue;
       const left = Math.max(x(from), LABEL);
       const wide = Math.max(2, Math.min(x(to), this.sheet.width) - left);

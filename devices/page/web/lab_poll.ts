@@ -5,7 +5,7 @@ import { get } from "./lab_api";
 
 const POLL_MS = 3000;
 
-/** The newest answer, why there is none, and a way to ask at once. */
+/** The newest answer, why there is no answer, and a way to ask at once. */
 export function usePolled<T>(path: string, every_ms = POLL_MS): [T | null, string, () => void] {
   const [found, set] = useState<T | null>(null);
   const [error, fail] = useState("");

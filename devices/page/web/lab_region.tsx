@@ -31,7 +31,7 @@ function paint(canvas: HTMLCanvasElement, { rows, columns }: Frame, depth: Uint1
   pen.putImageData(image, 0, 0);
 }
 
-/** Frames as they come, until the signal says that nobody looks any more. */
+/** Frames as they come, until the signal ends it. */
 async function watch(body: object, signal: AbortSignal, take: (frame: Frame, depth: Uint16Array) => void): Promise<void> {
   const answer = await fetch("api/look", { method: "POST", signal, headers: { "X-Client": CLIENT, "Content-Type": "application/json" }, body: JSON.stringify(body) });
   if (!answer.ok || !answer.body) throw new Error(((await answer.json()) as { error: string }).error);

@@ -364,7 +364,7 @@ class Main implements Page {
     return make("label", {}, value.node, input, shown);
   }
 
-  /** What may be said to operators: stages and exclusions in a menu each, where there are many. */
+  /** What may be typed for operators: stages and exclusions in a menu each, where there are many. */
   private words(words: string[]): HTMLElement[] {
     if (words.length < FEW) return words.map((word) => this.word(word));
     const isStage = (word: string) => /stage|next/.test(word);
@@ -373,7 +373,7 @@ class Main implements Page {
       make("details", { class: "menu" }, make("summary", {}, title), make("div", {}, ...group.map((word) => this.word(word)))));
   }
 
-  /** A button for what may be said to an operator; with a field, where the word takes a text. */
+  /** A button for a word that an operator understands; with a field, where the word takes a text. */
   private word(word: string): HTMLElement {
     const button = make("button", { type: "button", class: "word" }, word.trim());
     if (!word.endsWith(" ")) {

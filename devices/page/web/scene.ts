@@ -290,7 +290,7 @@ export class AvatarPanel extends ScenePanel {
   }
 }
 
-/** The middle of all points that are there, and how far they reach from it; null where there are none. */
+/** The middle of all points that are there, and how far they reach from it; null without any. */
 function extentOf(figures: Figure[]): Extent | null {
   const [low, high] = [new Vector3(Infinity, Infinity, Infinity), new Vector3(-Infinity, -Infinity, -Infinity)];
   const point = new Vector3();

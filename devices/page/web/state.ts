@@ -52,8 +52,8 @@ function cell(key: string, value: string | number | undefined): HTMLElement {
 }
 
 function trouble(row: Row): HTMLElement {
-  const said = row["error"] || (["running", "ended", "stopped", undefined].includes(row["state"] as string) ? row["findings"] : row["state"]);
-  return make("td", { class: "bad" }, String(said ?? ""));
+  const trouble = row["error"] || (["running", "ended", "stopped", undefined].includes(row["state"] as string) ? row["findings"] : row["state"]);
+  return make("td", { class: "bad" }, String(trouble ?? ""));
 }
 
 const recording = (row: Row | undefined): string =>

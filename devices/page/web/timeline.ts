@@ -65,7 +65,7 @@ export class Timeline {
     return joined;
   }
 
-  /** The next gap behind a moment, of any stream; the first one where there is none behind it. */
+  /** The next gap behind a moment, of any stream; the first one where no other follows. */
   nextGap(at: number): number | null {
     const all = this.missing.map(([from]) => from);
     return all.find((t) => t > at + 1e-6) ?? all[0] ?? null;

@@ -105,7 +105,7 @@ export class Connection {
   private closed = false;
 
   constructor(
-    private hear: (message: Message, buffer: ArrayBuffer, at: number) => void, private told: (state: string) => void, private readonly path = "socket"
+    private hear: (message: Message, buffer: ArrayBuffer, at: number) => void, private state: (state: string) => void, private readonly path = "socket"
   ) {
     this.open();
   }
@@ -128,11 +128,11 @@ export class Connection {
     url.search = location.search;
     const socket = new WebSocket(url);
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => { this.pause = FIRST_PAUSE_MS; this.told("connected"); };
+    socket.onopen = () => { this.pause = FIRST_PAUSE_MS; this.state("connected"); };
     socket.onmessage = (event: MessageEvent<ArrayBuffer>) => this.hear(...decode(event.data));
     socket.onclose = () => {
       if (this.closed) return;
-      this.told("not connected; trying again");
+      this.state("not connected; trying again");
       setTimeout(() => this.open(), this.pause);
       this.pause = Math.min(2 * this.pause, LONGEST_PAUSE_MS);
     };
