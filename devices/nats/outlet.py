@@ -87,6 +87,7 @@ class StreamOutletRuntime:
         self.facts: dict[str, Any] = {}
         self.bed = self.folder = ""
         self.reported_s = self.looked_s = 0.0
+        self.began_s = time.monotonic()
         self.nights: set[str] = set()
         self.dropped = 0
         self.changed = True
@@ -168,6 +169,7 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
         if not self.bed and not self.account:
             return
         runtime.bed, server = account_of(Path(self.account)) if self.account else (self.bed, self.server)
+        runtime.began_s = time.monotonic()
         state.session = state.session or uuid.uuid4().hex[:16]
         sent = json.loads(state.sent)
         for port, spec in runtime.specs.items():
@@ -278,6 +280,7 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
             **runtime.facts,
             "bed": self.runtime.bed,
             "now": runtime.now(),
+            "age_s": round(now - runtime.began_s, 1),
             "ended": last,
             "free_bytes": free,
             "waiting": 0 if last else sender.waiting,

@@ -77,9 +77,9 @@ class WardBed:
         streams = status.get("streams", {})
         pulse = streams.get(status.get("pulse", ""))
         if pulse:
-            quiet_s = (status["now"] - pulse["last"]) / NS if pulse["last"] else SENSOR_S
+            quiet_s = (status["now"] - pulse["last"]) / NS if pulse["last"] else float(status.get("age_s", 0.0))
             quiet_s += now_s - self.status_s
-            if quiet_s >= SENSOR_S and (pulse["last"] or status.get("age_s", SENSOR_S) >= SENSOR_S):
+            if quiet_s >= SENSOR_S:
                 found.append(Trouble("alarm", "sensor gone", f"no samples of {status['pulse']} for {span(quiet_s)}"))
         if (view := _row(streams, "what")) and view["what"] == "moved":
             found.append(Trouble("attention", "camera moved", "the camera was moved"))
@@ -152,11 +152,11 @@ def state_of(streams: dict[str, Any], now: int) -> str:
         return f"in bed{rate}"
     if rate:
         return f"breathing{rate}"
-    events = [one for one in streams.values() if one["row"]]
+    events = [name for name, one in streams.items() if one["row"]]
     if events:
-        newest = max(events, key=lambda one: one["last"])
-        texts = [str(v) for v in newest["row"].values() if isinstance(v, str) and v]
-        return ", ".join(texts) or "an event"
+        newest = max(events, key=lambda name: streams[name]["last"])
+        texts = [str(v) for v in streams[newest]["row"].values() if isinstance(v, str) and v]
+        return ", ".join(texts) or newest
     samples = sum(one["samples"] for one in streams.values())
     return f"{samples} samples" if samples else "no samples yet"
 

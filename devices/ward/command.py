@@ -117,6 +117,7 @@ def _serve(
     from kinegraph.devices.ward.site import WardSite
 
     refuse_unbuilt()
+    home = home.resolve()
     address = parsed(at or f":{DEFAULT_PORT}", no_token=no_token)
     site = None if server else WardSite(home, host, port)
     local = site.local_server().start() if site else None

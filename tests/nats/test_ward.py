@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -31,7 +34,7 @@ from kinegraph.devices.ward.site import WardSite
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.errors import KinegraphError
 from tests.support.browser import needs_browser
-from tests.support.command_line import Command
+from tests.support.command_line import KINEGRAPH, Command
 from tests.support.live_browser import live_browser
 from tests.support.mosquitto import Mosquitto, eventually, free_port, listening
 from tests.support.nats_site import folders, samples, sending, server, vanish
@@ -84,6 +87,10 @@ def test_silence_is_noticed_by_its_reason_within_a_minute() -> None:
     (trouble,) = camera.troubles(102.0)
     assert (trouble.kind, trouble.text) == ("sensor gone", "no samples of depth for 40 s")
     assert bed(depth=stream(-1.0)).troubles(101.0) == []
+    begins = bed(depth={**stream(), "last": 0})  # no frame yet: a trouble once the session is old enough
+    assert begins.troubles(101.0) == []
+    begins.status["age_s"] = 25.0
+    assert begins.troubles(101.0)[0].kind == "sensor gone"
 
 
 def test_beds_that_need_attention_come_first_and_the_others_as_people_count() -> None:
@@ -419,3 +426,39 @@ def test_the_wards_words_for_what_is_missing(kinegraph: Command) -> None:
     assert "needs a graph and its account" in kinegraph("ward", "agent", "x.yaml")[2]
     assert "holds no nights yet" in kinegraph("ward", "nights")[2]
     assert "cannot be read as an account" in kinegraph("ward", "agent", "x.yaml", "--server", "absent.yaml")[2]
+
+
+RUNNING = """
+nodes:
+  person: {use: devices.people.treadmill.Treadmill, muscles: [TA], duration_s: 120}
+  envelope: {use: operators.emg.Envelope, from: person.emg}
+  centre: {use: devices.nats.StreamOutlet, account: ward/beds/bed1/server.yaml, from: {envelope: envelope, touchdown: person.touchdown}}
+"""
+
+
+@pytest.mark.nightly
+@needs_page
+@needs_browser
+def test_a_bed_opens_its_own_page_in_the_ward(kinegraph: Command, server: LocalServer, tmp_path: Path) -> None:
+    """The commands as people type them: add, serve, run, and a click on the bed."""
+    port = free_port()
+    assert kinegraph("ward", "add", "bed1", "bed2", "--port", port)[0] == 0
+    (tmp_path / "bed.yaml").write_text(RUNNING)
+    log = (tmp_path / "ward.txt").open("w+")
+    ward = subprocess.Popen([KINEGRAPH, "ward", "--no-browser", "--at", ":0"], stderr=log, stdout=log)
+    bed = subprocess.Popen([KINEGRAPH, "run", "bed.yaml", "--no-record", "--view", "none"], stderr=log, stdout=log)
+    try:
+        eventually(lambda: "ward: " in Path(log.name).read_text())
+        (url,) = re.findall(r"ward: (http\S+)", Path(log.name).read_text())
+        with live_browser(tmp_path / "browser", allowed="WebSocket|status of 40") as browser:
+            browser.open(url, 1400, 900)
+            browser.wait("!!document.querySelector('table.beds tr.well')")
+            browser.value("[...document.querySelectorAll('table.beds a')].find(a => a.textContent === 'bed1').click()")
+            browser.wait("!!document.querySelector('iframe.page')")
+            browser.wait("/envelope/.test(document.querySelector('iframe.page').contentDocument.body.innerText)")
+            browser.picture(tmp_path / "ward-bed.png")
+    finally:
+        for process in (bed, ward):
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+        log.close()
