@@ -91,6 +91,7 @@ if TYPE_CHECKING:
     from kinegraph.operators.monitors.pattern_watch import PatternWatch
     from kinegraph.operators.monitors.timing_watch import TimingWatch
     from kinegraph.operators.neighbours import Neighbours
+    from kinegraph.operators.neighbours.returning import Returning
     from kinegraph.operators.pose import WholePose
     from kinegraph.operators.pose.footing import Footing
     from kinegraph.operators.segmentation import Segment
@@ -197,6 +198,7 @@ __all__ = [
     "RemoveMean",
     "Resample",
     "Retrieve",
+    "Returning",
     "Scale",
     "Segment",
     "Select",
@@ -313,6 +315,7 @@ __getattr__, __dir__ = offered(
         "RemoveMean": "kinegraph.operators.filters.mean",
         "Resample": "kinegraph.operators.filters.resample",
         "Retrieve": "kinegraph.operators.maps.pose_map.retrieve",
+        "Returning": "kinegraph.operators.neighbours.returning",
         "Scale": "kinegraph.operators.filters.scale",
         "Segment": "kinegraph.operators.segmentation",
         "Select": "kinegraph.operators.filters.channels",
