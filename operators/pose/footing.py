@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from kinegraph.operators.pose.limb_kernel import FOOT, SIDE, THIGH
+from kinegraph.operators.pose.limb_kernel import FOOT, HIPS, NECK, SIDE, THIGH
 from kinegraph.operators.pose.motion_kernel import limit_turns, same_signs
 from kinegraph.operators.pose.operator import NOTES
 from kinegraph.operators.pose.rotation_kernel import from_axes, normalise
@@ -23,16 +23,28 @@ from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
 PROMPT = np.dtype([("onset", "<i8"), ("state", "<U10"), ("text", "<U80")])
-"""What the person is asked to do, since `onset`: `state` is waiting, stand, follows, lost or gone."""
+"""What the person is asked to do, since `onset`: `state` is waiting, stand, follows, lost, upper, lying or gone."""
 TEXTS = {
     "waiting": "step into view of the camera",
     "stand": "stand still for a second, facing the camera",
     "follows": "calibrated; the avatar follows you",
     "lost": "the avatar follows with usual bone lengths; it was not calibrated",
+    "upper": "the legs are not seen: the avatar's legs rest; step back, to at least 2 m",
+    "lying": "lying or bent down: arms and legs are unsure until the trunk is upright",
     "gone": "nobody is seen: the avatar keeps its pose",
 }
-STATES = ("waiting", "stand", "follows", "lost", "gone")
-WAITING, STAND, FOLLOWS, LOST, GONE = range(5)
+STATES = ("waiting", "stand", "follows", "lost", "gone", "upper", "lying")
+WAITING, STAND, FOLLOWS, LOST, GONE, UPPER, LYING = range(7)
+FOR_S = 1.0
+"""Legs are given up, and a trunk is taken as lying, after this long; they come back at once."""
+LEANS = 0.5
+"""A trunk lies that rises by less than this share of its length: beyond 60 degrees."""
+FOLLOWED, SEATED, AT_REST = range(3)
+"""What legs do."""
+LEG_BONES = [
+    BONES.index(f"{side}{bone}") for side in ("Left", "Right") for bone in ("UpperLeg", "LowerLeg", "Foot", "Toes")
+]
+OTHERS = [b for b, bone in enumerate(BONES) if b not in LEG_BONES and bone != "Hips"]
 
 
 class FootingNumbers:
@@ -41,6 +53,7 @@ class FootingNumbers:
     since    since when (s) a person is in view without a calibration, or 0
     placed   whether it is known where the avatar stands; then the `floor`'s height, and the `scale` of the skeleton's legs by the person's
     last     the newest stamp in s
+    legless  since when the legs are not seen, and `lies`, since when the trunk lies (s; 0: not now)
     """
 
     asked: int
@@ -49,6 +62,8 @@ class FootingNumbers:
     floor: float
     scale: float
     last: float
+    legless: float
+    lies: float
 
 
 NUMBERS_OF_FOOTING = numbers_of(FootingNumbers)
@@ -103,7 +118,7 @@ def stand_here(s: FootingState, pose: Samples, offsets: Samples, sole: float, wo
 
 @kernel
 def footed(
-    s: FootingState, pose: Samples, now: float, seated: bool, turn_rad_s: float, offsets: Samples, parents: Times, work: Samples,
+    s: FootingState, pose: Samples, now: float, legs: int, turn_rad_s: float, offsets: Samples, parents: Times, work: Samples,
     out: Samples,
 ) -> None:  # fmt: skip
     """One pose (91,) as the avatar takes it, into `out`: at rest until it is known where it stands."""
@@ -121,11 +136,15 @@ def footed(
     else:
         out[:3] = offsets[0]
         local[:], local[:, 0] = 0.0, 1.0
-    if seated:
+    if legs == AT_REST and s.placed:
+        out[1] = offsets[0, 1]
+    if legs != FOLLOWED:
         half = math.sqrt(0.5)
         for side in range(2):
             thigh = THIGH + SIDE * side
             local[thigh : thigh + 4], local[thigh : thigh + 4, 0] = 0.0, 1.0
+            if legs == AT_REST:
+                continue
             local[thigh, 0], local[thigh, 1] = half, -half
             local[thigh + 1, 0], local[thigh + 1, 1] = half, half
     for b in range(parents.shape[0]):
@@ -155,6 +174,9 @@ class Footing(_Standing):
     out     the pose: where the person stood while being calibrated is the middle, the floor under the feet at height 0, the front +z; the
             root moves in the skeleton's size, not the person's, so that feet stay on the floor
     prompt  an event whenever something else is asked of the person: to step into view, to stand still; and what became of it
+
+    While only the upper body is seen, for a second or longer, as of somebody 1.3 m before a camera, the legs are at rest and the prompt asks
+    to step back; it reports a trunk that lies, too.
 
     Until the calibration is done, or somebody has been seen for `uncalibrated_s` without one, the avatar stands at rest. With `seated` the
     legs are those of someone on a chair, whatever is seen of them. A pose that is not finite is the one before
@@ -210,7 +232,15 @@ class Footing(_Standing):
                 continue
             prompts += self._ask(time, pose)
             footed(
-                s, pose, time / NS, self.seated, self.turn_rad_s, self.tree.offsets, NUMBERS, np.zeros((8, 4)), out[i]
+                s,
+                pose,
+                time / NS,
+                self._legs(time),
+                self.turn_rad_s,
+                self.tree.offsets,
+                NUMBERS,
+                np.zeros((8, 4)),
+                out[i],
             )
             s.newest[:] = out[i]
         events = np.array(prompts, PROMPT)
@@ -218,6 +248,20 @@ class Footing(_Standing):
             ("out", Chunk(chunk.time, out, chunk.until, chunk.lost)),
             ("prompt", Chunk(events["onset"].copy(), events, chunk.until, 0)),
         ]
+
+    def _legs(self, time: int) -> int:
+        """What the avatar's legs do."""
+        since = self.state.legless
+        return SEATED if self.seated else AT_REST if since and time / NS - since >= FOR_S else FOLLOWED
+
+    def _notice(self, time: int, *, seen: bool) -> None:
+        """Since when only the upper body is seen, and since when the trunk lies."""
+        s = self.state
+        way = s.joints[NECK] - s.joints[HIPS]
+        lies = not s.quality[[HIPS, NECK]].any() and way[1] < LEANS * float(np.linalg.norm(way))
+        upper = bool(s.quality[LEG_BONES].all()) and not s.quality[OTHERS].all()
+        s.legless = (s.legless or time / NS) if upper and seen else 0.0
+        s.lies = (s.lies or time / NS) if lies and seen else 0.0
 
     def _ask(self, time: int, pose: Samples) -> list[Array]:
         """What is asked of the person from this sample on, if that is something else than before; notes where the person stands."""
@@ -229,6 +273,11 @@ class Footing(_Standing):
             sole = float(self.tree.at_rest[FOOT, 1])
             stand_here(s, pose, self.tree.offsets, sole, np.zeros((3, 4)))
         there, absent = (FOLLOWS if calibrated else LOST, GONE) if s.placed else (STAND, WAITING)
+        self._notice(time, seen=seen)
+        if s.placed and s.legless and not self.seated and time / NS - s.legless >= FOR_S:
+            there = UPPER
+        elif s.placed and s.lies and time / NS - s.lies >= FOR_S:
+            there = LYING
         state = there if seen else absent
         if state == s.asked:
             return []

@@ -244,6 +244,31 @@ def test_without_a_calibration_the_avatar_follows_after_a_while() -> None:
     assert asked == ["stand", "lost"] and np.allclose(out[-1, :3], [0.0, usual_body().offsets[0, 1], 0.0], atol=1e-6)
 
 
+def test_where_only_the_upper_body_is_seen_the_legs_rest_and_the_prompt_asks_to_step_back() -> None:
+    """As at 1.3 m from a camera, where knees and feet are out of its view."""
+    n, tree = 150, usual_body()
+    poses, joints = turned(n, 0.0)
+    poses[:, 3 + 4 * BONES.index("LeftUpperLeg") :][:, :4] = np.cos(0.5), -np.sin(0.5), 0.0, 0.0  # a guess
+    quality = np.zeros((n, len(BONES) + len(NOTES)))
+    quality[:, len(BONES) + 2] = 1.0
+    quality[30:120, [b for b, bone in enumerate(BONES) if bone.endswith(("Leg", "Foot", "Toes"))]] = 1.0
+    out, asked = footed(poses, joints, quality)
+    assert asked == ["follows", "upper", "follows"]
+    places = joints_of(tree, out)[1]
+    knee = places[:, BONES.index("LeftLowerLeg"), 2] - places[:, BONES.index("LeftUpperLeg"), 2]
+    assert knee[50] > 0.3 and abs(knee[100]) < 0.02 and knee[-1] > 0.3
+    assert places[100, BONES.index("LeftFoot"), 1] == pytest.approx(tree.at_rest[BONES.index("LeftFoot"), 1], abs=0.01)
+
+
+def test_a_trunk_that_lies_is_reported() -> None:
+    poses, joints = turned(150, 0.0)
+    quality = np.zeros((150, len(BONES) + len(NOTES)))
+    quality[:, len(BONES) + 2] = 1.0
+    joints[30:100] = joints[30:100][..., [1, 0, 2]]  # on the side
+    joints[110:120] = joints[110:120][..., [1, 0, 2]]  # bent down for a moment
+    assert footed(poses, joints, quality)[1] == ["follows", "lying", "follows"]
+
+
 def test_who_sits_has_bent_legs_and_no_bone_turns_too_fast() -> None:
     poses, joints = turned(60, 0.0)
     quality = np.zeros((60, len(BONES) + len(NOTES)))
