@@ -175,7 +175,7 @@ class Footing(_Standing):
             root moves in the skeleton's size, not the person's, so that feet stay on the floor
     prompt  an event whenever something else is asked of the person: to step into view, to stand still; and what became of it
 
-    While only the upper body is seen, for a second or longer, as of somebody 1.3 m before a camera, the legs are at rest and the prompt asks
+    While only the upper body is seen, for a second or longer, as 1.3 m before a camera, the legs are at rest and the prompt asks
     to step back; it reports a trunk that lies, too.
 
     Until the calibration is done, or somebody has been seen for `uncalibrated_s` without one, the avatar stands at rest. With `seated` the
