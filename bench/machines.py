@@ -10,6 +10,7 @@ order. Stamps are sample time; what a bed sends goes as fast as the machine allo
 from __future__ import annotations
 
 import argparse
+import json
 import random
 import tempfile
 import threading
@@ -31,6 +32,7 @@ from kinegraph.devices.nats.link import Link, make_streams
 from kinegraph.devices.nats.local_server import LocalServer
 from kinegraph.devices.nats.messages import spec_text
 from kinegraph.devices.nats.server import NatsServer
+from kinegraph.devices.ward.centre import Centre as WardCentre
 from kinegraph.stream.chunk import FOREVER, NEVER, NS, Array, Chunk, StreamSpec
 from tests.support.mosquitto import free_port
 
@@ -405,6 +407,7 @@ def latency(beds: int, seconds: float, folder: Path) -> dict[str, float]:
         for name, feed in centre.feeds.items():
             feed.arrived = _timed(name, sent, took)
         centre.start()
+        shown = Shown(server, folder, sent)
         time.sleep(1.0)
         me, there = psutil.Process(), psutil.Process(server._process.pid if server._process else 0)
         cpu, cpu_server = sum(me.cpu_times()[:2]), sum(there.cpu_times()[:2])
@@ -419,9 +422,11 @@ def latency(beds: int, seconds: float, folder: Path) -> dict[str, float]:
         lasted = time.monotonic() - began
         cpu, cpu_server = sum(me.cpu_times()[:2]) - cpu, sum(there.cpu_times()[:2]) - cpu_server
         centre.stop()
+        shown.stop()
         for bed in ward:
             bed.outlet.close()
     server.stop()
+    page_p50, page_p99 = np.percentile(shown.took, [50, 99]) if shown.took else (np.nan, np.nan)
     p50, p99 = np.percentile(took, [50, 99]) if took else (np.nan, np.nan)
     return {
         "beds": beds,
@@ -429,9 +434,39 @@ def latency(beds: int, seconds: float, folder: Path) -> dict[str, float]:
         "missing": beds * round(seconds) - len(took),
         "p50_s": float(p50),
         "p99_s": float(p99),
+        "page_p50_s": float(page_p50),
+        "page_p99_s": float(page_p99),
         "cpu_percent_of_a_core": 100 * cpu / lasted,
         "server_percent": 100 * cpu_server / lasted,
     }
+
+
+class Shown(threading.Thread):
+    """What the ward's page is given every half second, as a browser asks for it; `took`: from the event until it is there."""
+
+    def __init__(self, server: LocalServer, folder: Path, sent: dict[tuple[str, int], float]) -> None:
+        super().__init__(daemon=True)
+        self._ward, self._sent = WardCentre(folder / "ward", NatsServer(server.url)), sent
+        self._known: dict[str, int] = {}
+        self._over = threading.Event()
+        self.took: list[float] = []
+        self._ward.start()
+        self.start()
+
+    def run(self) -> None:
+        while not self._over.wait(0.5):
+            rows = json.loads(json.dumps(self._ward.state()))["beds"]
+            now = time.monotonic()
+            for row in rows:
+                newest = row["streams"].get("x", {}).get("row", {}).get("number", -1)
+                for number in range(self._known.get(row["bed"], -1) + 1, newest + 1):
+                    self.took.append(now - self._sent[row["bed"], number])
+                self._known[row["bed"]] = newest
+
+    def stop(self) -> None:
+        self._over.set()
+        self.join()
+        self._ward.stop()
 
 
 def _timed(name: str, sent: dict[tuple[str, int], float], took: list[float]) -> Callable[[Chunk], None]:

@@ -131,6 +131,8 @@ class Link:
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
+        # such as an answer that comes when its caller has given up
+        self._loop.set_exception_handler(lambda loop, context: log.debug("NATS link", what=context.get("message", "")))
         connecting = self._loop.create_task(self._connect())
         self._loop.run_forever()
         with suppress(asyncio.CancelledError):
