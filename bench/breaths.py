@@ -29,7 +29,7 @@ FPS, SECONDS, TICK_S = 4.0, 1200.0, 0.05
 LENGTHS = (12.0, 15.0, 20.0, 30.0)
 LATE_S = 12.0
 """A pause is found if one is reported in the epoch of its end or of so long after it."""
-SHOWN = ("ToF", "ToF, twice the noise", "stereo .08 px")
+SHOWN = ("ToF", "stereo .08 px", "ToF, twice the noise")
 
 
 @dataclass(frozen=True, slots=True)

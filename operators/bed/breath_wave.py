@@ -91,15 +91,19 @@ class BreathWave:
                 self.low[k] = 0
 
     def learn(self, k: int, ticks: Samples, cells: Times, tick_s: float) -> None:
-        """The cells (some of all) that breathe most in an epoch with a rate, and their depths in it (n, cells)."""
+        """The cells (some of all) that breathe most in an epoch in which breath is seen, and their depths in it (n, cells).
+
+        How far the chest usually moves is taken from the cells of the epoch before: the best of this one hold its noise, too.
+        """
         x = np.where(np.isfinite(ticks), ticks, np.nanmean(ticks, axis=0))
         x = x - x.mean(axis=0)
         lead = x @ np.sign(x.T @ x[:, 0])
         signs = np.sign(lead @ x)
         self.chosen[k] = 0.0
         self.chosen[k, cells] = signs * (1.0 if signs.sum() >= 0 else -1.0)
-        span = max(2, round(SPAN_S / tick_s))
-        mean = _smooth((x @ signs / len(cells))[None], tick_s)[0]
+        span, n = max(2, round(SPAN_S / tick_s)), self.newest.shape[1]
+        before = self.newest[k, (self.tick - np.arange(n)[::-1]) % n]
+        mean = _smooth((before if np.isfinite(before).all() else x @ signs / len(cells))[None], tick_s)[0]
         moved = np.median([np.ptp(mean[i : i + span]) for i in range(0, max(1, len(mean) - span), 2)])
         self.usual[k] += (FORGETS if self.usual[k] else 1.0) * (float(moved) - self.usual[k])
 

@@ -224,10 +224,11 @@ class Breathing(Operator[BreathingState]):
         if tick != NEVER:
             self._ticked(tick, waves)
         for k, breath in enumerate(breaths):
-            seen = not s.spoilt[k] and breath.confidence >= self.min_confidence and not s.wave.halts(k, tick_s)
+            breathes = not s.spoilt[k] and breath.confidence >= self.min_confidence
+            seen = breathes and not s.wave.halts(k, tick_s)
             rate, confidence = breath.rate if seen else math.nan, 0.0 if s.spoilt[k] else breath.confidence
             amplitude, regular = s.wave.sized(k, rate, tick_s)
-            if seen:
+            if breathes:
                 first = s.epoch // s.cells.tick_ns
                 order = (first + np.arange(len(s.cells.ticks))) % len(s.cells.ticks)
                 s.wave.learn(k, s.cells.ticks[order][:, breath.cells], breath.cells, tick_s)

@@ -28,11 +28,20 @@ def breaths(second: Array, uneven: float) -> Array:
 
 
 def made(
-    seconds: float, *, pauses: tuple[tuple[float, float], ...] = (), noise: float = 0.3, uneven: float = 0.0
+    seconds: float,
+    *,
+    pauses: tuple[tuple[float, float], ...] = (),
+    noise: float = 0.3,
+    uneven: float = 0.0,
+    shallow_s: float = 1e9,
 ) -> dict[str, Array]:
-    """What comes out of blocks of 12 x 16, of which 4 x 5 are a chest that lifts by 3 mm; the lengths of breaths may vary."""
+    """What comes out of blocks of 12 x 16, of which 4 x 5 are a chest that lifts by 3 mm; the lengths of breaths may vary.
+
+    shallow_s: from then on breath lifts a quarter as far
+    """
     second = np.arange(int(seconds * FPS)) / FPS
     lift = LIFT_MM * (1 - np.cos(2 * np.pi * breaths(second, uneven))) / 2
+    lift[second >= shallow_s] /= 4
     for begin, end in pauses:
         lift[(second >= begin) & (second < end)] = lift[int(begin * FPS)]
     depth = 2000.0 + np.random.default_rng(8).normal(0, noise, (len(second), 12, 16))
@@ -98,3 +107,9 @@ def test_the_interval_of_uneven_breath_is_wider_and_holds_the_rate_of_the_epoch(
     errors = abs(events["rate"] - rates)
     assert (errors <= events["error"])[1:].mean() >= 0.9, errors
     assert np.median(events["error"][1:]) < 1.5
+
+
+def test_breath_that_has_become_shallow_is_no_pause_for_the_rest_of_the_night() -> None:
+    """As under another blanket; what is usual must follow even where a pause seems to be in every epoch."""
+    events = made(600, shallow_s=180)["out"]
+    assert np.isfinite(events["rate"][10:]).all() and (events["pauses"][11:] == 0).all(), events["pauses"]
