@@ -129,22 +129,22 @@ def spec_of_markers() -> StreamSpec:
     return markers_specs(StreamSpec((240, 320), np.dtype(np.uint16), rate_hz=30.0, units=("mm",)))["out"]
 
 
-def posed(markers: Samples, confidence: Samples, *, model: Path | None = PEOPLE) -> tuple[Samples, Samples]:
-    """Joints (n, 22, 3), y up, and world rotations (n, 22, 4) of the chain after markers (n, 20, 3) of this confidence."""
+def posed(markers: Samples, confidence: Samples, *, model: Path | None = PEOPLE) -> tuple[Samples, Samples, Samples]:
+    """Joints (n, 22, 3), y up, world rotations (n, 22, 4) and what is guessed (n, 22), of markers (n, 20, 3) of this confidence."""
     spec, times = spec_of_markers(), grid(30.0, len(markers))
     chunk = Chunk(times, markers, int(times[-1]))
     for step in (OneEuro(cutoff_hz=1.0, beta=2.0), Predict(ahead_s=0.033, tau_s=0.15)):
         spec = step.open({"in": spec})["out"]
         chunk = step.process("in", chunk)  # type: ignore[assignment]
     pose = WholePose(up="-y", model=model)
-    poses, joints = np.empty((len(times), 91)), np.empty((len(times), 22, 3))
+    poses, joints, flags = np.empty((len(times), 91)), np.empty((len(times), 22, 3)), np.empty((len(times), 22))
     pose.open({"in": spec, "confidence": StreamSpec(confidence.shape[1:], rate_hz=30.0)})
     for i, time in enumerate(times.tolist()):
         pose.process("confidence", Chunk(times[i : i + 1], confidence[i : i + 1], time))
         out = dict(pose.process("in", Chunk(times[i : i + 1], chunk.data[i : i + 1].reshape(1, -1), time)))
-        poses[i], joints[i] = out["pose"].data[0], out["joints"].data[0]
+        poses[i], joints[i], flags[i] = out["pose"].data[0], out["joints"].data[0], out["quality"].data[0, :22]
     turns, _ = joints_of(usual_body(), poses)
-    return joints, turns
+    return joints, turns, flags
 
 
 def directions(joints: Samples, limbs: Iterable[tuple[int, int]]) -> Samples:
@@ -188,7 +188,7 @@ def judged(
     made["far in a row"] = max(longest(flags) for flags in (off > FAR_CM).T)
     made["missing %"] = float(100 * np.isnan(off).mean())
     confidence = np.ones(markers.shape[:2]) if all_of_them is None else all_of_them[1]
-    joints, turns = posed(markers if doubtful is None else doubtful, confidence)
+    joints, turns, _ = posed(markers if doubtful is None else doubtful, confidence)
     up = np.array([1.0, -1.0, -1.0])
     limbs = directions(joints[at], [(BONES.index(a), BONES.index(b)) for a, b in LIMBS])
     true = directions(truth * up, TRUE_LIMBS)

@@ -81,6 +81,43 @@ def hold_everywhere(pose: Samples, joints: Samples) -> None:
         assert angle[1:].max() < 20.0 / RATE * 1.001
 
 
+def test_a_doubtful_marker_is_followed_slowly_and_its_bones_are_flagged() -> None:
+    """Where a marker is missing its place is guessed: it moves with the trunk. One that is doubtful is better than that."""
+    n, k = 120, USUAL.index("wrist_l")
+    x = marks(USUAL, np.repeat(POSES[:1], n, axis=0))
+    there, gone = x.copy(), x.copy()
+    there[60:, k] += [0.0, 0.15, 0.1]
+    gone[60:, k] = np.nan
+    confidence = np.ones((n, len(USUAL)))
+    confidence[60:, k] = 0.1
+    hand = BONES.index("LeftHand")
+    places, flags = {}, {}
+    for way, rows, trust in (("doubtful", there, confidence), ("missing", gone, None), ("sure", there, None)):
+        operator = WholePose()
+        spec = StreamSpec((len(USUAL), 3), rate_hz=RATE, channels=USUAL, units=("m",))
+        sure = {} if trust is None else {"confidence": StreamSpec((len(USUAL),), rate_hz=RATE, channels=USUAL)}
+        operator.open({"in": spec, **sure})
+        joints, quality = [], []
+        for i, time in enumerate(grid(RATE, n).tolist()):
+            at = np.array([time])
+            if trust is not None:
+                operator.process("confidence", Chunk(at, trust[i : i + 1], time))
+            made = dict(operator.process("in", Chunk(at, rows[i : i + 1].reshape(1, -1), time)))
+            joints.append(made["joints"].data[0, hand])
+            quality.append(made["quality"].data[0, hand])
+        places[way], flags[way] = np.array(joints), np.array(quality)
+    away = {way: np.linalg.norm(place - places["sure"][-1], axis=1) for way, place in places.items()}
+    assert away["doubtful"][-1] < 0.03 < 0.1 < away["missing"][-1]
+    assert away["doubtful"][61] > away["sure"][61], "slowly"
+    assert flags["doubtful"][61:].all() and not flags["doubtful"][:60].any() and not flags["sure"].any()
+
+
+def test_confidence_of_other_points_is_refused() -> None:
+    spec = StreamSpec((len(USUAL), 3), rate_hz=RATE, channels=USUAL, units=("m",))
+    with pytest.raises(InputError, match="each of the 13 points"):
+        WholePose().open({"in": spec, "confidence": StreamSpec((20,), rate_hz=RATE)})
+
+
 @pytest.mark.parametrize(
     ("names", "max_cm"),
     [
