@@ -14,7 +14,7 @@ from kinegraph.operators.body.names import LANDMARKS, MARKERS, SEEN
 from kinegraph.stream.chunk import Chunk, StreamSpec
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import grid
-from tests.support.pose_model import pose_network_or_skip
+from tests.support.pose_model import camera_networks_or_skip
 
 CAMERA = np.array([450.0, 450.0, 319.5, 239.5])
 BODY_AT = {
@@ -95,7 +95,7 @@ def test_images_without_a_lens_are_refused() -> None:
 
 def test_a_rendered_person_is_found_and_placed_by_the_networks() -> None:
     """The performer of capsules, whose joints are known; the network was made for people."""
-    pose_network_or_skip()
+    camera_networks_or_skip()
     performer, meta = (
         RenderedPerformer(320, 240),
         {"camera": dict(zip(("fx", "fy", "cx", "cy"), camera_of(320, 240), strict=True))},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kinegraph.operators.body.network.blazepose import model_path
+from kinegraph.operators.body.network.published import FACE, HAND, PERSON
 from kinegraph.stream.errors import ParameterError
 
 
@@ -14,3 +15,13 @@ def pose_network_or_skip() -> None:
         model_path("")
     except ParameterError as error:
         pytest.skip(f"the pose network cannot be used here: {error}")
+
+
+def camera_networks_or_skip() -> None:
+    """The same for what an ordinary camera needs beside it."""
+    pose_network_or_skip()
+    try:
+        for network in (PERSON, HAND, FACE):
+            network.path("model")
+    except ParameterError as error:
+        pytest.skip(f"the networks for ordinary cameras cannot be used here: {error}")
