@@ -14,6 +14,7 @@ import numpy as np
 from kinegraph.devices.formats.gltf.writer import TRIANGLES, VERTICES, Glb
 from kinegraph.devices.page.avatar_file import AVATAR
 from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.domain.fingers import FINGER_BONES, finger_offsets
 from kinegraph.stream.domain.humanoid import BONES, NUMBERS, usual_body
 
 STEP_M = 0.02
@@ -30,6 +31,13 @@ LICENCE = {
     "commercialUsage": "corporation", "creditNotation": "unnecessary",
 }  # fmt: skip
 SIDES = {"Left": 1.0, "Right": -1.0}
+EXPRESSIONS = (
+    ("blinkLeft", 0, (1.0, 0.12)), ("blinkRight", 1, (1.0, 0.12)), ("aa", 2, (0.85, 4.2)), ("ih", 2, (1.3, 1.4)), ("ou", 2, (0.45, 2.2)),
+    ("ee", 2, (1.25, 2.0)), ("oh", 2, (0.6, 3.6)),
+)  # fmt: skip
+"""VRM's names, which oval of the face each moves (left eye, right eye, mouth), and how many times as wide and tall that becomes."""
+THUMBS = {"ThumbProximal": "ThumbMetacarpal", "ThumbIntermediate": "ThumbProximal"}
+"""What VRM 1.0 calls bones of the thumb otherwise."""
 
 
 def beside(place: Samples, x: float, y: float, z: float) -> Samples:
@@ -76,9 +84,10 @@ def cones() -> list[Cone]:
             part(side + "LowerArm", a["LowerArm"], a["LowerArm"] + 0.08 * out, 0.034, 0.038),
             part(side + "LowerArm", a["LowerArm"] + 0.08 * out, hand, 0.038, 0.024),
             part(side + "Hand", hand + 0.05 * out + [0, 0, 0.012], hand + 0.05 * out - [0, 0, 0.018], 0.026, 0.026),
-            part(side + "Hand", beside(hand, 0, 0, 0.0), hand + 0.15 * out, 0.025, 0.02),
-            part(side + "Hand", hand + 0.05 * out + [0, 0, 0.012], hand + 0.14 * out + [0, 0, 0.015], 0.022, 0.017),
-            part(side + "Hand", hand + 0.03 * out + [0, 0, 0.02], hand + 0.09 * out + [0, -0.005, 0.065], 0.018, 0.014),
+            part(side + "Hand", hand + 0.01 * out, hand + 0.078 * out, 0.025, 0.016),
+            part(side + "Hand", hand + 0.05 * out + [0, 0, 0.012], hand + 0.08 * out + [0, 0, 0.022], 0.022, 0.014),
+            part(side + "Hand", hand + 0.05 * out - [0, 0, 0.012], hand + 0.072 * out - [0, 0, 0.028], 0.02, 0.012),
+            part(side + "Hand", hand + 0.02 * out + [0, 0, 0.02], hand + 0.04 * out + [0, 0, 0.036], 0.016, 0.014),
             part(side + "UpperLeg", a["UpperLeg"] - [0, 0.03, 0], a["LowerLeg"], 0.084, 0.05),
             part(side + "LowerLeg", a["LowerLeg"], a["LowerLeg"] - [0, 0.13, 0.012], 0.046, 0.052),
             part(side + "LowerLeg", a["LowerLeg"] - [0, 0.13, 0.012], a["Foot"], 0.052, 0.034),
@@ -167,22 +176,65 @@ def weights(points: Samples, parts: list[Cone]) -> tuple[Array, Samples]:
     return np.where(kept > 0, most, 0).astype("<u2"), kept / kept.sum(axis=1, keepdims=True)
 
 
-def eyes() -> tuple[Samples, Samples, Array]:
-    """Two dark ovals on the face: vertices, normals, triangles."""
-    head = usual_body().at_rest[BONES.index("Head")]
+def ball() -> tuple[Samples, Array]:
+    """A sphere of radius 1 about the z axis: vertices, triangles."""
     rings, around = 6, 10
     angle, turn = np.meshgrid(np.linspace(0, np.pi, rings), 2 * np.pi * np.arange(around) / around, indexing="ij")
-    ball = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], -1).reshape(-1, 3)
+    made = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], -1).reshape(-1, 3)
     faces = list[list[int]]()
     for r in range(rings - 1):
         for k in range(around):
             a, b = r * around + k, r * around + (k + 1) % around
             faces += [[a, a + around, b], [b, a + around, b + around]]
-    size = np.array([0.011, 0.015, 0.008])
-    sides = [ball * size + beside(head, x * 0.034, 0.085, 0.093) for x in SIDES.values()]
-    pointing = ball / size / np.linalg.norm(ball / size, axis=1, keepdims=True)
-    tri = np.array([f for f in faces if not degenerate(ball[f])])
-    return np.concatenate(sides), np.tile(pointing, (2, 1)), np.concatenate([tri, tri + len(ball)])
+    return made, np.array([f for f in faces if not degenerate(made[f])])
+
+
+def face() -> tuple[Samples, Samples, Array, dict[str, Samples]]:
+    """Two eyes and a mouth, dark ovals on the face: vertices, normals, triangles, and how far expressions move each vertex."""
+    head = usual_body().at_rest[BONES.index("Head")]
+    round_, faces = ball()
+    ovals = [(np.array([0.011, 0.015, 0.008]), beside(head, x * 0.034, 0.085, 0.093)) for x in SIDES.values()]
+    ovals.append((np.array([0.020, 0.0035, 0.006]), beside(head, 0.0, 0.024, 0.107)))
+    points = np.concatenate([round_ * size + middle for size, middle in ovals])
+    normals = np.concatenate(
+        [round_ / size / np.linalg.norm(round_ / size, axis=1, keepdims=True) for size, _ in ovals]
+    )
+    moves = {}
+    for name, oval, (x, y) in EXPRESSIONS:
+        size, _ = ovals[oval]
+        moves[name] = np.zeros_like(points)
+        moves[name][oval * len(round_) : (oval + 1) * len(round_)] = round_ * size * (x - 1.0, y - 1.0, 0.0)
+    return points, normals, np.concatenate([faces + k * len(round_) for k in range(len(ovals))]), moves
+
+
+def fingers() -> tuple[Samples, Samples, Array, Array]:
+    """A rounded stick for every finger's bone: vertices, normals, triangles, and the number of the bone that moves each vertex."""
+    round_, faces = ball()
+    offsets, made = finger_offsets(), list[tuple[Samples, Samples, Array, int]]()
+    places = finger_places()
+    for k, bone in enumerate(FINGER_BONES):
+        last = bone.endswith("Distal")
+        reach = 0.7 * offsets[k] if last else offsets[k + 1]
+        along = reach / np.linalg.norm(reach)
+        aside = np.cross([0.0, 1.0, 0.0], along)
+        axes = np.stack([aside, [0.0, 1.0, 0.0], along])
+        radius = 0.0085 if "Thumb" in bone else 0.0075
+        stick = round_ * radius
+        stick[round_[:, 2] > 0, 2] += np.linalg.norm(reach)
+        made.append((stick @ axes + places[k], round_ @ axes, faces + len(round_) * k, len(BONES) + k))
+    owner = np.concatenate([np.full(len(round_), one[3]) for one in made])
+    points, normals, triangles = (np.concatenate([one[i] for one in made]) for i in range(3))
+    return points, normals, triangles, owner
+
+
+def finger_places() -> Samples:
+    """Where FINGER_BONES begin (30, 3) at rest (m)."""
+    at = dict(zip(BONES, usual_body().at_rest, strict=True))
+    made = np.empty((len(FINGER_BONES), 3))
+    for k, (bone, offset) in enumerate(zip(FINGER_BONES, finger_offsets(), strict=True)):
+        side = "Left" if bone.startswith("Left") else "Right"
+        made[k] = offset + (at[f"{side}Hand"] if bone.endswith("Proximal") else made[k - 1])
+    return made
 
 
 def degenerate(corners: Samples) -> bool:
@@ -192,34 +244,58 @@ def degenerate(corners: Samples) -> bool:
 def write(path: Path) -> None:
     """The avatar as a file."""
     glb, body, parts = Glb(), usual_body(), cones()
-    children = [[int(k) for k in np.flatnonzero(b == NUMBERS)] for b in range(len(BONES))]
-    for b, bone in enumerate(BONES):
-        node: dict[str, Any] = {"name": bone, "translation": body.offsets[b].tolist()}
-        glb.json["nodes"].append(node | ({"children": children[b]} if children[b] else {}))
-    glb.json["nodes"].append({"name": "mannequin", "mesh": 0, "skin": 0})
-    glb.json["scenes"][0]["nodes"] = [0, len(BONES)]
-    binds = np.tile(np.eye(4, dtype="<f4"), (len(BONES), 1, 1))
-    binds[:, 3, :3] = -body.at_rest  # column by column
+    bones = (*BONES, *FINGER_BONES)
+    above = [*NUMBERS.tolist(), *(
+        BONES.index(bone[: bone.index("t") + 1] + "Hand") if bone.endswith("Proximal") else len(BONES) + k - 1
+        for k, bone in enumerate(FINGER_BONES)
+    )]  # fmt: skip
+    offsets, rest = np.concatenate([body.offsets, finger_offsets()]), np.concatenate([body.at_rest, finger_places()])
+    for b, bone in enumerate(bones):
+        children = [k for k, parent in enumerate(above) if parent == b]
+        node: dict[str, Any] = {"name": bone, "translation": offsets[b].tolist()}
+        glb.json["nodes"].append(node | ({"children": children} if children else {}))
+    glb.json["nodes"] += [{"name": "mannequin", "mesh": 0, "skin": 0}, {"name": "face", "mesh": 1, "skin": 0}]
+    glb.json["scenes"][0]["nodes"] = [0, len(bones), len(bones) + 1]
+    binds = np.tile(np.eye(4, dtype="<f4"), (len(bones), 1, 1))
+    binds[:, 3, :3] = -rest  # column by column
     glb.json["skins"] = [
         {
-            "joints": list(range(len(BONES))),
+            "joints": list(range(len(bones))),
             "skeleton": 0,
             "inverseBindMatrices": glb.add(binds.reshape(-1, 16), "MAT4"),
         }
     ]
-    surface, face = skin(parts), eyes()
-    on_head = np.tile(np.array([[BONES.index("Head"), 0, 0, 0]], "<u2"), (len(face[0]), 1))
-    rigid = np.tile(np.array([[1.0, 0, 0, 0]]), (len(face[0]), 1))
-    drawn = [primitive(glb, 0, *surface, *weights(surface[0], parts)), primitive(glb, 1, *face, on_head, rigid)]
-    glb.json["meshes"] = [{"name": "mannequin", "primitives": drawn}]
+    surface, (points, normals, faces, moves), (tips, tip_normals, sticks, owner) = skin(parts), face(), fingers()
+    drawn = [
+        primitive(glb, 0, *surface, *weights(surface[0], parts)),
+        primitive(glb, 0, tips, tip_normals, sticks, *rigid(owner)),
+    ]
+    ovals = primitive(glb, 1, points, normals, faces, *rigid(np.full(len(points), BONES.index("Head"))))
+    ovals["targets"] = [{"POSITION": glb.add(move.astype("<f4"), "VEC3", bounds=True)} for move in moves.values()]
+    glb.json["meshes"] = [
+        {"name": "mannequin", "primitives": drawn},
+        {"name": "face", "primitives": [ovals], "weights": [0.0] * len(moves), "extras": {"targetNames": list(moves)}},
+    ]
     glb.json["materials"] = [
         {"name": name, "pbrMetallicRoughness": {"baseColorFactor": colour, "metallicFactor": 0, "roughnessFactor": 0.8}}
         for name, colour in (("body", [0.72, 0.6, 0.45, 1]), ("eyes", [0.05, 0.05, 0.06, 1]))
     ]
-    bones = {bone[0].lower() + bone[1:]: {"node": b} for b, bone in enumerate(BONES)}
-    glb.json["extensionsUsed"] = ["VRMC_vrm"]
-    glb.json["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "meta": LICENCE, "humanoid": {"humanBones": bones}}}
+    named = {bone: next((bone.replace(k, v) for k, v in THUMBS.items() if k in bone), bone) for bone in bones}
+    human = {name[0].lower() + name[1:]: {"node": b} for b, name in enumerate(named.values())}
+    shown = {
+        name: {"morphTargetBinds": [{"node": len(bones) + 1, "index": k, "weight": 1.0}], "isBinary": False}
+        for k, name in enumerate(moves)
+    }
+    vrm = {"specVersion": "1.0", "meta": LICENCE, "humanoid": {"humanBones": human}, "expressions": {"preset": shown}}
+    glb.json["extensionsUsed"], glb.json["extensions"] = ["VRMC_vrm"], {"VRMC_vrm": vrm}
     glb.write(path)
+
+
+def rigid(owner: Array) -> tuple[Array, Samples]:
+    """The bones (n, 4) and shares (n, 4) of vertices that one bone moves."""
+    bones, shares = np.zeros((len(owner), 4), "<u2"), np.zeros((len(owner), 4))
+    bones[:, 0], shares[:, 0] = owner, 1.0
+    return bones, shares
 
 
 def primitive(

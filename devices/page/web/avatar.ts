@@ -4,6 +4,7 @@ import { type VRM, type VRMHumanBoneName, VRMLoaderPlugin, VRMUtils } from "@pix
 import { Group, Quaternion, TextureLoader, Vector3 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
+import { bendFingers, isFace, isFingers, moveFace } from "./live_parts";
 import type { Newest, Stream } from "./store";
 import type { AvatarBone, AvatarInfo } from "./wire";
 
@@ -31,7 +32,9 @@ export class AvatarFigure {
   private readonly world: Quaternion[];
   private readonly turns: Quaternion[];
 
-  constructor(private readonly stream: Stream, private readonly info: AvatarInfo, private readonly say: (text: string) => void) {
+  /** `beside`: streams of the same panel, of which fingers and face are shown. */
+  constructor(private readonly stream: Stream, private readonly info: AvatarInfo, private readonly say: (text: string) => void,
+    private readonly beside: Stream[] = []) {
     this.joints = info.parents.map(() => new Quaternion());
     this.world = info.bones.map(() => new Quaternion());
     this.turns = info.bones.map(({ turn: [w, x, y, z] }) => new Quaternion(x, y, z, w));
@@ -78,6 +81,10 @@ export class AvatarFigure {
       if (above) node.quaternion.premultiply(above.clone().invert());
       if (old) aboutFace(node.quaternion);
     });
+    for (const other of this.beside) {
+      if (isFingers(other)) bendFingers(vrm, other, newest.at, old);
+      else if (isFace(other)) moveFace(vrm, other, newest.at);
+    }
     this.stand(vrm, newest, old);
     const step = Math.min(LONGEST_STEP_S, Math.max(0, newest.at - this.before) || 0);
     this.before = newest.at;
@@ -123,6 +130,11 @@ export class AvatarFigure {
   /** Where a bone of the avatar is (m). */
   place(bone: string): number[] {
     return this.vrm?.humanoid.getRawBoneNode(bone as VRMHumanBoneName)?.getWorldPosition(new Vector3()).toArray() ?? [];
+  }
+
+  /** How much of an expression is shown. */
+  shows(expression: string): number {
+    return this.vrm?.expressionManager?.getValue(expression) ?? NaN;
   }
 
   leave(): void {

@@ -1,12 +1,13 @@
 // Points with names, skeletons and meshes in three dimensions; several streams stand in one scene.
 
 import {
-  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, GridHelper, LineBasicMaterial, LineSegments, type Material, Mesh,
-  MeshStandardMaterial, type Object3D, PerspectiveCamera, Points, PointsMaterial, Scene, Sphere, Vector3, WebGLRenderer,
+  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, GridHelper, Group, LineBasicMaterial, LineSegments, type Material,
+  Mesh, MeshStandardMaterial, type Object3D, PerspectiveCamera, Points, PointsMaterial, Scene, Sphere, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 import { AvatarFigure } from "./avatar";
+import { isFace, isFingers } from "./live_parts";
 import { colour, make, type Page, Panel, shade, type Span } from "./panel";
 import type { Newest, Stream } from "./store";
 import type { PanelInfo } from "./wire";
@@ -271,11 +272,15 @@ export class ScenePanel extends Panel {
   }
 }
 
-/** Avatars that follow streams of poses; other streams stand beside them. */
+/** What the avatar itself shows: nothing of its own is drawn. */
+const nothing = (): Figure => ({ parts: [new Group()], labels: [], positions: new Float32Array(0), restyle: () => {}, take: () => false });
+
+/** Avatars that follow streams of poses, with fingers and face; other streams stand beside them. */
 export class AvatarPanel extends ScenePanel {
   protected override figure(stream: Stream, number: number): Figure {
     const { avatar } = stream.info;
-    return avatar ? new AvatarFigure(stream, avatar, (text) => { this.note.textContent = text; }) : super.figure(stream, number);
+    if (isFingers(stream) || isFace(stream)) return nothing();
+    return avatar ? new AvatarFigure(stream, avatar, (text) => { this.note.textContent = text; }, this.streams) : super.figure(stream, number);
   }
 
   protected override get from(): Vector3 {
@@ -287,6 +292,8 @@ export class AvatarPanel extends ScenePanel {
     const first = this.figures.find((figure) => figure instanceof AvatarFigure);
     const at = ["leftHand", "rightHand", "head"].map((bone) => first?.place(bone).map((v) => v.toFixed(3)).join(" "));
     if (at[0]) this.element.dataset["bones"] = at.join(", ");
+    const tip = first?.place("leftIndexDistal") ?? [];
+    if (tip.length) this.element.dataset["live"] = [...tip, first?.shows("blinkLeft"), first?.shows("aa")].map((v) => v?.toFixed(3)).join(" ");
   }
 }
 
