@@ -24,6 +24,7 @@ export class CyclesPanel extends Panel {
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
     this.sheet.canvas.setAttribute("role", "img");
+    this.sheet.canvas.setAttribute("aria-label", "nothing yet");
     this.modes = streams.find((s) => has(s, "name", "number", "place_pct", "height", "sd_pct", "sd_height", "correlation"));
     if (!this.modes) return;
     const button = make("button", { type: "button", "aria-pressed": "false" }, "modes");

@@ -33,6 +33,7 @@ export class EventsPanel extends Panel {
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
     this.sheet.canvas.setAttribute("role", "img");
+    this.sheet.canvas.setAttribute("aria-label", "no event yet");
   }
 
   draw(span: Span): void {

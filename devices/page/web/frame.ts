@@ -19,7 +19,7 @@ export const TABLE = Uint32Array.from({ length: STEPS }, (_, i) => {
 const HATCH = [0xff000000 | 0x303030, 0xff000000 | 0xa0a0a0];
 
 export class FramePanel extends Panel {
-  private readonly canvas = make("canvas", { role: "img" });
+  private readonly canvas = make("canvas", { role: "img", "aria-label": "no picture yet" });
   private readonly legend = make("div", { class: "legend" });
   private readonly bar = make("canvas", { width: "128", height: "10", "aria-hidden": "true" });
   private readonly limits = make("span");

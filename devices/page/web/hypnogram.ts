@@ -20,6 +20,7 @@ export class HypnogramPanel extends Panel {
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
     this.sheet.canvas.setAttribute("role", "img");
+    this.sheet.canvas.setAttribute("aria-label", "nothing yet");
   }
 
   draw(span: Span): void {

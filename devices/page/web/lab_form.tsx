@@ -1,13 +1,11 @@
 // The fields of a graph's form: one for each type of value that a setting may have.
 
 import { useId } from "preact/hooks";
+import { titled } from "./hints";
 import type { Field, Found, Source, Value } from "./lab_api";
 
 const MUSCLES = ["TA", "SO", "GM", "GL", "RF", "VM", "VL", "BF", "ST", "GMAX", "GMED", "AL", "PL", "ES"];
 const SIDED = MUSCLES.flatMap((muscle) => [`L_${muscle}`, `R_${muscle}`]);
-
-/** Ends of names that say a unit, longest first. */
-const UNITS: Record<string, string> = { m_s: "m/s", per_min: "1/min", hz: "Hz", ms: "ms", mm: "mm", pct: "%", deg: "°", kg: "kg", uV: "µV", mV: "mV", s: "s", m: "m" };
 
 export type Values = Record<string, Value>;
 interface Given { field: Field; value: Value | undefined; change: (value: Value | undefined) => void }
@@ -24,12 +22,6 @@ const read = (text: string): Value => {
   }
 };
 const written = (value: Value | undefined): string => (value === undefined || value === null ? "" : typeof value === "string" ? value : JSON.stringify(value));
-
-/** A parameter's name for people, its unit in brackets: "for_s" is "for (s)". */
-const titled = (name: string): string => {
-  const unit = Object.keys(UNITS).find((end) => name.endsWith(`_${end}`));
-  return (unit ? `${name.slice(0, -unit.length - 1)} (${UNITS[unit]})` : name).replace(/_/g, " ");
-};
 
 export function FormField({ field, value, change }: Given) {
   const id = useId();

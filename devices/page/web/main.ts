@@ -5,7 +5,7 @@ import { Arranger } from "./arrange";
 import { CyclesPanel } from "./cycles";
 import { EventsPanel, TablePanel } from "./events";
 import { FramePanel } from "./frame";
-import { HINTS } from "./hints";
+import { HINTS, titled } from "./hints";
 import { HypnogramPanel } from "./hypnogram";
 import { LiveMapPanel } from "./map_live";
 import { OwnPanel } from "./own";
@@ -217,7 +217,7 @@ class Main implements Page {
     this.recording = hello.mode === "recording";
     this.ahead = -Infinity;
     document.title = `${hello.name} · kinegraph`;
-    const facts = Object.entries(hello.session).map(([key, value]) => (key === SIMULATED ? `simulated: ${value}` : `${key.replace(/_/g, " ")}: ${value}`)).join(" · ");
+    const facts = Object.entries(hello.session).map(([key, value]) => (key === SIMULATED ? `simulated: ${value}` : `${titled(key)}: ${value}`)).join(" · ");
     (document.getElementById("name") as HTMLElement).replaceChildren(hello.name, ...(facts ? [make("small", {}, facts)] : []));
     this.streams = hello.streams.map((info, i) => new Stream(info, i));
     for (const panel of this.panels) panel.leave();

@@ -8,7 +8,7 @@ import type { PanelInfo } from "./wire";
 const KEEP_S = 3600;
 
 export class SimilarityPanel extends Panel {
-  private readonly canvas = make("canvas", { role: "img" });
+  private readonly canvas = make("canvas", { role: "img", "aria-label": "nothing yet" });
   private drawn = "";
 
   constructor(info: PanelInfo, streams: Stream[], page: Page) {

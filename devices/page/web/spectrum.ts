@@ -26,6 +26,7 @@ export class Analysis {
   constructor(private readonly host: HTMLElement, height: number, private readonly stream: Stream, private readonly page: Page) {
     this.sheet = new Sheet(host, height);
     this.sheet.canvas.setAttribute("role", "img");
+    this.sheet.canvas.setAttribute("aria-label", "nothing yet");
     this.show(false);
   }
 

@@ -26,6 +26,7 @@ export class WeeksPanel extends Panel {
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
     this.sheet.canvas.setAttribute("role", "img");
+    this.sheet.canvas.setAttribute("aria-label", "nothing yet");
     this.body.append(make("div", { class: "scroll" }, this.table));
   }
 
