@@ -132,7 +132,8 @@ def accuracy(folder: Path) -> list[Section]:
         for m in (BUNDLED, ACA)
     }
     note = (
-        f"Trials: {len(made[RAW])} (five with four angles in degrees, two with the whole body in cm); the thesis has all 14, whole body. "
+        f"Recordings: {len(made[RAW])}, of five trials (four angles in degrees; two also the whole body in cm); the thesis has 14, "
+        "whole body. "
         "Variances have other units there: compare ratios. Bundled over raw: "
         f"{ratio[BUNDLED]:.2f} (thesis {1.17 / 1.69:.2f}); ACA over raw: {ratio[ACA]:.2f} (thesis {2.56 / 1.69:.2f}). The thesis counts "
         "its left and right steps as one class, and so does the measure: it asks for a cluster's most "
