@@ -157,9 +157,11 @@ async def serve(centre: Centre, address: Address, *, duration_s: float, browser:
     if browser:
         show(address.url(port))
     serving = asyncio.create_task(server.serve(sockets=[listens]))
-    with suppress(asyncio.TimeoutError):
-        await asyncio.wait_for(asyncio.shield(serving), duration_s or None)
-    server.should_exit = True
-    await serving
-    for session in Sessions(centre.home).all():
-        session.stop()
+    try:
+        with suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(asyncio.shield(serving), duration_s or None)
+        server.should_exit = True
+        await serving
+    finally:  # Ctrl-C raises here
+        for session in Sessions(centre.home).all():
+            session.stop()

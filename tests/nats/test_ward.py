@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 import uvicorn
 
+from kinegraph.devices.lab.sessions import LabSession
 from kinegraph.devices.nats.local_server import LocalServer
 from kinegraph.devices.nats.server import NatsServer, account_of
 from kinegraph.devices.page.access import Access
@@ -455,10 +456,14 @@ def test_a_bed_opens_its_own_page_in_the_ward(kinegraph: Command, server: LocalS
             browser.wait("!!document.querySelector('table.beds tr.well')")
             browser.value("[...document.querySelectorAll('table.beds a')].find(a => a.textContent === 'bed1').click()")
             browser.wait("!!document.querySelector('iframe.page')")
-            browser.wait("/envelope/.test(document.querySelector('iframe.page').contentDocument.body.innerText)")
+            browser.wait(
+                "/envelope/.test(document.querySelector('iframe.page')?.contentDocument?.body?.innerText ?? '')"
+            )
             browser.picture(tmp_path / "ward-bed.png")
     finally:
         for process in (bed, ward):
             process.send_signal(signal.SIGINT)
             process.wait(60)
         log.close()
+    view = LabSession(tmp_path / "ward" / "sessions" / "bed-bed1")
+    eventually(lambda: not view.runs)  # the bed's page ends with the ward
