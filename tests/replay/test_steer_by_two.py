@@ -6,6 +6,8 @@ Truth: where the performers' feet are, and who moves.
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,10 @@ from kinegraph.operators.steering.model.stored import KIND, from_model
 from kinegraph.operators.steering.operator import MODELS
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.data.model_file import read_model
+from kinegraph.stream.recording import Recording
 from tests.replay.replaying import CAMERA_HZ, no_images, signal
+from tests.support.command_line import Command
+from tests.support.command_line import kinegraph as kinegraph
 
 pytestmark = pytest.mark.nightly
 SECONDS, LEARNED_S = 11.0, 7.5
@@ -66,3 +71,17 @@ def test_paws_that_are_down_do_not_slide(two: tuple[kg.Results, np.ndarray]) -> 
     moved = np.linalg.norm(np.diff(paw[..., [0, 2]], axis=0), axis=-1)
     assert both.mean() > 0.15
     assert 100 * CAMERA_HZ * np.median(moved[both]) < 2.0, "centimetres a second"
+
+
+@pytest.mark.skipif(find_spec("depthai") is None, reason="depthai is not installed (pip install 'kinegraph[oak]')")
+@pytest.mark.timeout(200, method="thread")
+@pytest.mark.xdist_group("depthai")
+@pytest.mark.parametrize("config", ["steer_by_one", "steer_by_two"])
+def test_a_simulated_camera_of_depthai_moves_the_mesh(kinegraph: Command, config: str) -> None:
+    code, _, complaint = kinegraph("run", config, "--simulate", "--for", "12", "--view", "none", "-o", "run")
+    assert code == 0, complaint
+    with Recording.open("run") as recording:
+        _, mesh = recording.read("dog.steer.mesh")
+    late = mesh[len(mesh) // 2 :]
+    assert mesh.shape[1:] == (3502, 3) and np.isfinite(mesh).all()
+    assert np.ptp(late[:, DOG.vertices[:4]], axis=0).max() > 0.03, "paws move"
