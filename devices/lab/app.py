@@ -8,6 +8,7 @@ import re
 import secrets
 import shutil
 import socket
+import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import aclosing, suppress
@@ -121,7 +122,7 @@ class Lab:
     async def get_devices(self, request: Request) -> Response:
         async with self._looking:
             if time.monotonic() - self._looked_s > DEVICES_S:
-                self._found = await asyncio.to_thread(_devices)
+                self._found = await _devices_beside()
                 self._looked_s = time.monotonic()
         return JSONResponse(self._found)
 
@@ -391,6 +392,27 @@ class Lab:
 
     def _session(self, request: Request) -> LabSession:
         return self.sessions.of(request.path_params["id"])
+
+
+async def _devices_beside() -> list[dict[str, Any]]:
+    """The devices that are found, in a thread that the end of the lab does not wait for."""
+    loop = asyncio.get_running_loop()
+    given: asyncio.Future[list[dict[str, Any]]] = loop.create_future()
+
+    def take(found: list[dict[str, Any]]) -> None:
+        if not given.done():  # who asked may have left
+            given.set_result(found)
+
+    def run() -> None:
+        found: list[dict[str, Any]] = []
+        try:
+            found = _devices()
+        finally:
+            with suppress(RuntimeError):  # the lab has ended
+                loop.call_soon_threadsafe(take, found)
+
+    threading.Thread(target=run, name="devices", daemon=True).start()
+    return await given
 
 
 def _devices() -> list[dict[str, Any]]:

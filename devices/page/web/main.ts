@@ -110,6 +110,9 @@ class Main implements Page {
       this.fill();
       this.look();
     };
+    this.arranger.button.addEventListener("click", () => {
+      if (this.arranger.button.getAttribute("aria-pressed") === "true") this.folded.open = true; // what is folded is arranged as well
+    });
     addEventListener("storage", () => this.theme(localStorage.getItem("theme") ?? "light"));
     addEventListener("keydown", (event) => this.key(event));
     addEventListener("resize", () => {
