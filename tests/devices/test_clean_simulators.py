@@ -138,6 +138,6 @@ def test_a_device_that_sends_as_declared_gives_no_finding(name: str, monkeypatch
 def test_two_hours_of_a_device_give_no_finding(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the device's time, in longer steps; it takes minutes."""
     monkeypatch.setattr("tests.devices.scripted.STEP_S", 0.02)
-    monkeypatch.setattr("tests.devices.travelling.STEP_S", 0.05)
+    monkeypatch.setattr("tests.devices.travelling.STEP_S", 0.02)
     monkeypatch.setattr("kinegraph.devices.ble.simulated_backends.TICK_S", 0.05)
     assert findings(name, 7200.0, monkeypatch) == []
