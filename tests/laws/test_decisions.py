@@ -55,11 +55,23 @@ ALIKE = {
     "segment_emg_acc": "segment_emg",
     "segment_imu": "segment_mocap",
     "count_repetitions": "segment_mocap",
+    "count_depth": "segment_mocap",
+    "dualsense": "segment_mocap",
 }
 """Graphs that need a device at its own pace: every operator of theirs that gives events is in another one."""
-ON_ITS_CASES = {"imu_steps", "shimmer_emg", "myoware", "cyton_emg", "bitalino_emg", "lsl_emg", "trigno_emg"}
+ON_ITS_CASES = {
+    "gait_angles",
+    "grow_graph",
+    "imu_steps",
+    "shimmer_emg",
+    "myoware",
+    "cyton_emg",
+    "bitalino_emg",
+    "lsl_emg",
+    "trigno_emg",
+}
 """The same, but their operators are only tried one by one, below."""
-SPOKEN = dict.fromkeys(("avatar", "avatar_oak"), "its prompts are of the sample that leads to them")
+SPOKEN = dict.fromkeys(("avatar", "avatar_oak", "webcam_avatar"), "its prompts are of the sample that leads to them")
 
 
 @cache
