@@ -131,7 +131,11 @@ class LivePage:
         if on:
             session.mark(f"take {self._takes.begin(name)}")
             return
-        files = self._takes.end(Path(session.folder or ".") / FOLDER)
+        try:
+            files = self._takes.end(Path(session.folder or ".") / FOLDER)
+        except KinegraphError as error:
+            log.warning("take not written", why=str(error))
+            return
         session.mark(f"take {files[0].stem} ends")
         log.info("take written", files=", ".join(map(str, files)))
 

@@ -19,6 +19,9 @@ from kinegraph.stream.domain.humanoid import usual_body
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.operator import grid
 from tests.files.test_motion_out import gltf_of, is_vrm_animation, numbers
+from tests.support.browser import needs_browser
+from tests.support.live_browser import live_browser
+from tests.support.page_session import needs_page, page_process
 
 TREE = usual_body()
 POSES = np.array([true_pose(2.0 + k / 30) for k in range(60)])
@@ -74,3 +77,43 @@ def test_a_page_without_an_avatar_and_a_replay_record_no_takes() -> None:
         hub.hello = hello
         with pytest.raises(ValueError, match=r"avatar|replay"):
             hub.take(hub.visitor(), wish)
+
+
+GRAPH = """
+name: dance
+nodes:
+  performer: {use: devices.people.performer.Performer}
+page: {panels: [{kind: avatar, of: performer.pose, wide: 4}]}
+"""
+
+
+@needs_page
+@needs_browser
+@pytest.mark.nightly
+@pytest.mark.timeout(280)
+def test_the_button_writes_a_take_beside_the_recording(tmp_path: Path) -> None:
+    (tmp_path / "dance.yaml").write_text(GRAPH)
+    with (
+        live_browser(tmp_path) as browser,
+        page_process(tmp_path, "run", "dance.yaml", "--view", "none", "-o", "s") as run,
+    ):
+        browser.open(run.url, 900, 900)
+        browser.wait("document.querySelector('.avatar')?.dataset.bones")
+        button = "[...document.querySelectorAll('#controls button')].find((b) => b.textContent.includes('take'))"
+        said = "document.querySelector('#status').textContent"
+        browser.value("document.querySelector('[aria-label=\"name of the take\"]').value = 'jump'")
+        written = ""
+        for _ in range(60):  # until the session has begun, and poses come
+            browser.value(f"{button}.click()")
+            begun = browser.value("performance.now()")
+            browser.wait(f"performance.now() > {begun} + 1000")
+            browser.value(f"{button}.click()")
+            written = browser.wait(f"{said}.startsWith('take ') && {said}")
+            if "not written" not in written:
+                break
+        assert "jump.vrma" in written
+        assert run.stop() in (0, 130)
+        assert browser.complaints == []
+    assert sorted(path.name for path in (tmp_path / "s" / "takes").iterdir()) == ["jump.bvh", "jump.vrma"]
+    document, _ = gltf_of(tmp_path / "s" / "takes" / "jump.vrma")
+    assert document["animations"]

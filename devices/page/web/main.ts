@@ -94,6 +94,8 @@ class Main implements Page {
   private answered = NaN;
   private onset = NaN;
   private starting = false;
+  /** Whether the end of a take was asked for, and not yet answered. */
+  private ending = false;
   private devices: string[] = [];
   /** Why the session has ended. */
   private over = "";
@@ -174,6 +176,7 @@ class Main implements Page {
         return;
       case "log":
         for (const panel of this.panels) if (panel instanceof LogPanel) panel.take(message);
+        for (const { text } of message.lines) if (this.ending && /^take (not )?written/.test(text)) this.ended(text);
         return;
       case "spectrum":
       case "spectrogram":
@@ -395,6 +398,12 @@ class Main implements Page {
     return make("span", { class: "word" }, button, field);
   }
 
+  /** What became of a take. */
+  private ended(text: string): void {
+    this.ending = false;
+    this.say(text);
+  }
+
   /** A button that records what the avatar does, from one press to the next, under the name in the field beside it. */
   private takes(): HTMLElement {
     const field = make("input", { type: "text", maxlength: "64", placeholder: "name of the take", "aria-label": "name of the take" });
@@ -406,7 +415,8 @@ class Main implements Page {
       button.setAttribute("aria-pressed", String(on));
       button.textContent = on ? "end take" : "take";
       field.disabled = on;
-      this.say(on ? `recording: ${name}` : `take written: ${name} (.vrma and .bvh, beside the recording)`);
+      this.ending = !on;
+      this.say(on ? `recording: ${name}` : `ending: ${name}`);
     };
     return make("span", { class: "word" }, button, field);
   }
