@@ -12,7 +12,7 @@ import numpy as np
 
 from bench import batch
 from bench.aligned_clusters import aligned_clusters
-from bench.generalise import real
+from bench.generalise import Item, real
 from bench.motion import RATE, Series, kinect, poses, segment
 from bench.report import Section
 from bench.segmentation import in_batch
@@ -207,19 +207,22 @@ def parameters(folder: Path) -> list[Section]:
     ]  # fmt: skip
 
 
+def seconds(step: Callable[[], object]) -> str:
+    began = time.process_time()
+    step()
+    return f"{time.process_time() - began:.2f}"
+
+
 def timing(folder: Path) -> Section:
     """Figure 2.12: seconds for a whole recording."""
     rows = []
     for kind, name, pose, truth in recordings(folder):
         features = pose.through(Stack())
-        took = []
-        steps: list[Callable[[], object]] = [
-            lambda f=features: f.through(Bundle()), lambda f=features: segment(f), lambda p=pose, t=truth: by_aligned_clusters(p, t)
-        ]  # type: ignore[misc] # fmt: skip
-        for step in steps:
-            began = time.process_time()
-            step()
-            took.append(f"{time.process_time() - began:.2f}")
+        took = [
+            seconds(lambda: features.through(Bundle())),  # noqa: B023 - called at once
+            seconds(lambda: segment(features)),  # noqa: B023
+            seconds(lambda: by_aligned_clusters(pose, truth)),  # noqa: B023
+        ]
         rows.append([f"{name}, {kind.partition(', ')[2]}", str(len(pose.data)), *took])
     return Section(
         "2.6.1 Figure 2.12: seconds of processor time for a recording", ["", "frames", "bundling", "segmentation, live", "ACA"], rows,
@@ -301,7 +304,7 @@ def noisy(folder: Path) -> Section:
     )
 
 
-def real_of(folder: Path) -> Iterator[object]:
+def real_of(folder: Path) -> Iterator[Item]:
     return (item for item in real(folder) if item.kind == "UTKinect")
 
 

@@ -61,6 +61,7 @@ ALIKE = {
 """Graphs that need a device at its own pace: every operator of theirs that gives events is in another one."""
 ON_ITS_CASES = {
     "gait_angles",
+    "video_gait",
     "grow_graph",
     "imu_steps",
     "shimmer_emg",
