@@ -219,9 +219,9 @@ def timing(folder: Path) -> Section:
     for kind, name, pose, truth in recordings(folder):
         features = pose.through(Stack())
         took = [
-            seconds(lambda: features.through(Bundle())),  # noqa: B023 - called at once
-            seconds(lambda: segment(features)),  # noqa: B023
-            seconds(lambda: by_aligned_clusters(pose, truth)),  # noqa: B023
+            seconds(lambda: features.through(Bundle())),
+            seconds(lambda: segment(features)),
+            seconds(lambda: by_aligned_clusters(pose, truth)),
         ]
         rows.append([f"{name}, {kind.partition(', ')[2]}", str(len(pose.data)), *took])
     return Section(

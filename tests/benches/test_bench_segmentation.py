@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from bench import batch
-from bench.bundling import pairs, warped
 from bench.missing import off_by, seen
 from bench.rests import behind, counted
+from kinegraph.operators.segmentation.evaluation.as_in_thesis import pairs, warped
 from kinegraph.operators.segmentation.evaluation.found import Found
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,7 +71,7 @@ def test_the_distance_of_two_repetitions_is_that_along_the_cheapest_path():
 def test_pairs_are_of_repetitions_of_one_cluster():
     spans = np.array([[float(i), i + 1.0] for i in range(6)])
     found = Found(spans[:1], np.array([False]), spans, np.array([0, 0, 1, -1, 1, 0]), np.array([1, 2, 1, 0, 2, 0]))
-    assert pairs(found) == [(0, 1), (2, 4)]
+    assert pairs(found) == {0: [(0, 1)], 1: [(2, 4)]}
 
 
 def test_the_bench_of_speed_runs():
