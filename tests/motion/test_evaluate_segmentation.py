@@ -107,7 +107,7 @@ def test_repetitions_overlap_and_key_points():
         transition=[False, True, False],
     )
     scores = score(made, known)
-    assert scores.repetitions == 1.0 and scores.within_1 == 0.5
+    assert scores.repetitions == 1.0 and scores.within_1 == 0.5 and scores.count_error == pytest.approx(0.2)
     assert scores.distance_s == pytest.approx((2.0 + 0.0 + 0.0 + 2.0) / 4) and scores.overlap == pytest.approx(
         (2 / 8 + 2 / 6) / 2
     )

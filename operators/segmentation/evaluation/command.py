@@ -31,6 +31,7 @@ SHOWN = {
     "tolerant": "frames, tolerant",
     "repetitions": "repetitions, mean error",
     "within_1": "repetitions within +-1",
+    "count_error": "repetitions, error as a share",
     "distance_s": "start and end to next cut (s)",
     "overlap": "overlap with one unit",
     "key_place": "key point's place",

@@ -27,7 +27,8 @@ class Scores:
     covering      the annotated segments' best overlap (intersection over union) with one found, weighted by their length
     strict        frames with the label of most of their unit, transitions being a label of their own; cutting often pleases it
     tolerant      the same, frames of transitions counting as right wherever they are
-    repetitions   mean |found - counted| repetitions per annotated action; `within_1`: share of actions where that is at most 1
+    repetitions   mean |found - counted| repetitions per annotated action; `within_1`: share of actions where that is at most 1;
+                  count_error: the mean of the same divided by those counted (RepCount's MAE), of actions with any
     distance_s    from each annotated start and end to the next cut; `overlap`: share of an action in the unit that holds most of it (2.6.4)
     key_place, key_sd  where in its repetition a key point stands, and the circular standard deviation of that, both in shares of it
     """
@@ -40,6 +41,7 @@ class Scores:
     tolerant: float
     repetitions: float
     within_1: float
+    count_error: float
     distance_s: float
     overlap: float
     key_place: float
@@ -53,7 +55,7 @@ def score(found: Found, truth: Truth) -> Scores:
     acts = len(truth.start) > 0
     strict, tolerant = frame_accuracy(found.cuts(), truth, length) if acts else (np.nan, np.nan)
     distance, overlap = distance_and_overlap(found, truth) if acts else (np.nan, np.nan)
-    errors = repetition_errors(found, truth)
+    errors, counted = repetition_errors(found, truth)
     place, spread = key_phase(found, truth)
     return Scores(
         *((f1, precision, recall) if acts else (np.nan,) * 3),
@@ -62,6 +64,7 @@ def score(found: Found, truth: Truth) -> Scores:
         tolerant,
         float(np.mean(errors)) if len(errors) else np.nan,
         float(np.mean(errors <= 1)) if len(errors) else np.nan,
+        float(np.mean(errors[counted > 0] / counted[counted > 0])) if (counted > 0).any() else np.nan,
         distance,
         overlap,
         place,
@@ -109,18 +112,19 @@ def frame_accuracy(cuts: Samples, truth: Truth, length_s: float) -> tuple[float,
     return strict / max(1, len(labels)), tolerant / max(1, len(labels))
 
 
-def repetition_errors(found: Found, truth: Truth) -> Array:
-    """|found - counted| per annotated action, or of the whole where only key points are annotated."""
+def repetition_errors(found: Found, truth: Truth) -> tuple[Array, Array]:
+    """|found - counted| per annotated action, or of the whole where only key points are annotated; and how many were counted."""
     middle = found.repetitions().mean(axis=1)
     if len(truth.keys) and not np.isfinite(truth.repetitions).any():
-        return np.array([abs(len(middle) - len(truth.keys))])
-    errors = []
+        return np.array([abs(len(middle) - len(truth.keys))]), np.array([len(truth.keys)])
+    errors, counts = [], []
     for i, counted in enumerate(truth.repetitions):
         if np.isfinite(counted):
             first = -np.inf if i == 0 else (truth.end[i - 1] + truth.start[i]) / 2.0
             last = np.inf if i == len(truth.start) - 1 else (truth.end[i] + truth.start[i + 1]) / 2.0
             errors.append(abs(int(((middle >= first) & (middle < last)).sum()) - counted))
-    return np.array(errors)
+            counts.append(counted)
+    return np.array(errors), np.array(counts)
 
 
 def distance_and_overlap(found: Found, truth: Truth) -> tuple[float, float]:
