@@ -14,6 +14,8 @@ MAX_SETS, MAX_REPETITIONS, MAX_RESTS, MAX_WORDS = 500, 20_000, 2000, 500
 """Of a longer session this many rows are kept, the first ones; the rest are counted, and the CSV file has them all. Names and
 features beyond the first MAX_WORDS are left blank."""
 MAX_LETTERS = 24
+WALKING = "walking"
+"""What operators.segmentation.names.naming calls it."""
 REPETITION = np.dtype(
     [
         ("activity", "<i8"), ("repetition", "<i4"), ("onset", "<i8"), ("duration_s", "<f4"), ("range", "<f4"),
@@ -119,11 +121,14 @@ SYMMETRY = {0: "", 1: "both sides at once", 2: "sides in turn", 3: "one side, or
 
 
 def exercises(training: Training) -> list[Exercise]:
-    """The sets of a session, with their repetitions; what does not repeat is no set."""
+    """The sets of a session, with their repetitions; what does not repeat is no set, nor is walking."""
     sets, all_, rests = training.sets[: training.n_sets], training.repetitions[: training.n_repetitions], training.rests
-    made = []
+    made: list[Exercise] = []
     for k, one in enumerate(sets):
         mine = all_[all_["activity"] == one["activity"]]
+        name = _called(training, mine)
+        if name == WALKING:
+            continue
         spans = whole_repetitions(mine)
         durations = spans["duration_s"]
         middle = (rests["onset"][: training.n_rests] + rests["end"][: training.n_rests]) / 2.0
@@ -131,8 +136,8 @@ def exercises(training: Training) -> list[Exercise]:
         mean = float(durations.mean(dtype=np.float64)) if len(durations) else np.nan
         made.append(
             Exercise(
-                k + 1,
-                _called(training, mine) or f"exercise {one['cluster'] + 1}",
+                len(made) + 1,
+                name or f"exercise {one['cluster'] + 1}",
                 float((spans["onset"][0] if len(spans) else one["onset"]) - training.began) / NS,
                 int(one["repetitions"]),
                 60.0 / mean if mean > 0.0 else np.nan,

@@ -12,6 +12,7 @@ import structlog
 
 from kinegraph.operators.features.mirror import STACKED
 from kinegraph.operators.inputs.channels import names_of
+from kinegraph.operators.inputs.lengths import length_of, metres
 from kinegraph.operators.segmentation.names.recent_frames import RecentFrames, sides_alike, widest
 from kinegraph.operators.segmentation.names.taught import (
     MOST_LETTERS,
@@ -48,6 +49,8 @@ REMEMBERED = 16
 """This many final repetitions are remembered, for a name that is given after them."""
 TURNS = Path(__file__).with_name("turns.npz")
 """Two turns of a made-up signal, taught as "turn": what the cases are named by."""
+WALKING, WALKS_M = "walking", 0.35
+"""What takes somebody this far from where it began, by the middle of all joints, is walking; exercises end where they begin."""
 NONE, COMING = -1, -2
 """No activity; the one that has not been noticed yet."""
 NEEDED = {"provisional": BELIEVED, "primitive": PRIMITIVE, "annotations": ANNOTATION, "radius": RADIUS}
@@ -58,6 +61,7 @@ NEEDED = {"provisional": BELIEVED, "primitive": PRIMITIVE, "annotations": ANNOTA
 class NamingState:
     """
     recent, images   the newest frames, and their mirror images
+    places           the newest middles of all joints, in m
     model            the exercises by which repetitions are named; None: nothing was shown
     latest           (REMEMBERED,) the newest final repetitions, a ring; n_told: how many there were
     lesson, of       a name that was given, and its activity
@@ -70,6 +74,8 @@ class NamingState:
 
     recent: RecentFrames
     images: RecentFrames
+    places: RecentFrames
+    to_m: float
     model: Taught | None
     latest: Array
     n_told: int
@@ -96,6 +102,7 @@ class NameRepetitions(Operator[NamingState]):
 
     in           features, as operators.segmentation.Segment takes them
     mirrored     input, optional: the same through operators.features.mirror.Mirror, for `symmetry`
+    place        input, optional: the joints that the features are of; what moves somebody on by 0.35 m is "walking"
     annotations  input, optional: "this is: squat" teaches what is being done while the session runs, or what comes next
     radius       of Segment, optional: how far repetitions of a name that is taught live may lie apart
     provisional  of it: repetitions as soon as they are believed
@@ -121,6 +128,7 @@ class NameRepetitions(Operator[NamingState]):
     inputs = {
         "in": Input(),
         "mirrored": Input(optional=True),
+        "place": Input(optional=True),
         "radius": Input(optional=True),
         "annotations": Input(trigger=True, optional=True),
         "provisional": Input(trigger=True, optional=True),
@@ -157,6 +165,8 @@ class NameRepetitions(Operator[NamingState]):
                 specs["mirrored"].describe(),
                 "the features of 'in' through operators.features.mirror.Mirror",
             )
+        if "place" in specs and (len(specs["place"].shape) != 2 or specs["place"].shape[1] != 3):
+            raise InputError("place", specs["place"].describe(), "joints or markers (n, 3)")
         ring = samples_in("window_s", self.window_s, rate_hz)
         if ring > 20000:
             raise ParameterError("window_s", self.window_s, f"at most {20000 / rate_hz:.4g} s of {rate_hz:g} Hz")
@@ -164,6 +174,8 @@ class NameRepetitions(Operator[NamingState]):
             NamingState(
                 recent=RecentFrames.of(ring, spec.shape[0]),
                 images=RecentFrames.of(ring if "mirrored" in specs else 1, spec.shape[0]),
+                places=RecentFrames.of(4 * ring if "place" in specs else 1, 3),
+                to_m=metres(length_of(specs["place"], "place")) if "place" in specs else 1.0,
                 model=Taught.read(Path(self.model), "in", spec) if self.model else None,
                 latest=np.zeros(REMEMBERED, SPAN), n_told=0, lesson="", of=NONE, given_at=NEVER, held=NONE, before=None,
                 formerly="", named=False, now=NONE, count=0, last=NEVER, took=0, called="", radius=0.0,
@@ -182,6 +194,11 @@ class NameRepetitions(Operator[NamingState]):
         s = self.state
         if port in ("in", "mirrored"):
             (s.recent if port == "in" else s.images).add(chunk)
+            return []
+        if port == "place":
+            known = np.isfinite(chunk.data)
+            middle = np.where(known, chunk.data, 0.0).sum(1) / np.where(known.any(1), known.sum(1), np.nan)
+            s.places.add(Chunk(chunk.time, middle * s.to_m, chunk.until))
             return []
         if port == "radius":
             if len(chunk):
@@ -219,7 +236,7 @@ class NameRepetitions(Operator[NamingState]):
     def _believed(self, event: Array) -> list[Array]:
         corrected = self._at(event)
         x = self.state.recent.span(int(event["onset"]), int(event["end"]))
-        name, _, sure = self._called(x, NONE, int(event["activity"]), True)
+        name, _, sure = self._called(x, NONE, event, True)
         return [*corrected, named(int(event["activity"]), int(event["repetition"]), name, sure)]
 
     def _final(self, event: Array) -> list[Array]:
@@ -238,9 +255,7 @@ class NameRepetitions(Operator[NamingState]):
         for field in ("onset", "end", "activity", "repetition", "cluster", "side"):
             row[field] = event[field]
         x = s.recent.span(int(event["onset"]), int(event["end"]))
-        row["name"], row["distance"], row["sure"] = self._called(
-            x, int(event["cluster"]), int(event["activity"]), False
-        )
+        row["name"], row["distance"], row["sure"] = self._called(x, int(event["cluster"]), event, False)
         if s.model is not shown:  # it has become an example: how far from those before it, not from itself
             row["distance"] = shown.distance_from(x, str(row["name"][0])) if shown else np.nan
         row["duration_s"] = (event["end"] - event["onset"] + s.period) / 1e9
@@ -268,12 +283,14 @@ class NameRepetitions(Operator[NamingState]):
             s.last, s.took = int(event["end"]), int(event["end"] - event["onset"])
         return corrected
 
-    def _called(self, x: Samples, cluster: int, activity: int, believed: bool) -> tuple[str, float, float]:
+    def _called(self, x: Samples, cluster: int, event: Array, believed: bool) -> tuple[str, float, float]:
         """A name, the distance from what was shown of it, and how sure that is. What is believed of an activity that is being taught
         has its name."""
-        s = self.state
-        if s.lesson and activity == s.of and believed:
-            answer: tuple[str, float, float] = (s.lesson, np.nan, 1.0)
+        s, activity = self.state, int(event["activity"])
+        if s.places.travelled(int(event["onset"]), int(event["end"])) >= WALKS_M:
+            answer: tuple[str, float, float] = (WALKING, np.nan, 1.0)
+        elif s.lesson and activity == s.of and believed:
+            answer = (s.lesson, np.nan, 1.0)
         elif s.model is None:
             letter = s.called if believed and activity == s.now else ""
             answer = (letters(cluster) if cluster >= 0 else letter), np.nan, 0.0

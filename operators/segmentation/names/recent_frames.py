@@ -38,6 +38,14 @@ class RecentFrames:
             return self.frames[:0]
         return self.frames[order[first:last]]
 
+    def travelled(self, onset: int, end: int) -> float:
+        """How far the last frame between these stamps lies from the first; NaN where fewer than two are known."""
+        within = np.flatnonzero((self.stamps >= onset) & (self.stamps <= end) & np.isfinite(self.frames).all(1))
+        if len(within) < 2:
+            return np.nan
+        order = within[np.argsort(self.stamps[within])]
+        return float(np.linalg.norm(self.frames[order[-1]] - self.frames[order[0]]))
+
 
 def widest(x: Samples) -> tuple[float, int]:
     """How far the feature of x (n, features) goes that moves most, and which one it is; NaN and -1 where nothing is known."""
