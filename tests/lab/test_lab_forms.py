@@ -93,3 +93,16 @@ def test_what_can_go_wrong_is_offered_where_a_simulated_source_has_it() -> None:
     assert "electrode of L_RF falls off" in text and made["treadmill.faults"][0]["kind"] == "flat"
     rewritten(shipped()["treadmill_both_legs"], made)
     assert all(not one["rehearsals"] for one in form_of(shipped()["bedside_sleep"])["devices"])
+
+
+@pytest.mark.parametrize(
+    ("graph", "asked"),
+    [
+        ("treadmill_both_legs", {"session.subject", "muscles", "protocol"}),
+        ("bedside_simulated", {"bed_h", "bedside.regions"}),
+        ("avatar_markers", {"session.subject"}),
+        ("segment_mocap", {"exercises"}),
+    ],
+)
+def test_what_is_filled_in_for_each_use_is_asked_for(graph: str, asked: set[str]) -> None:
+    assert asked <= {*fields(shipped()[graph])}
