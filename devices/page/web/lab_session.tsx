@@ -170,7 +170,7 @@ function Remarks({ state, path }: { state: State; path: string }) {
   return (
     <section class="remarks">
       <h2><label for="remarks">Remarks</label></h2>
-      <textarea id="remarks" rows={2} value={text} onInput={(e) => set(e.currentTarget.value)} onBlur={() => void send(`${path}/remarks`, { text }).then(() => keep(text))} />
+      <textarea id="remarks" rows={2} value={text} onInput={(e) => set(e.currentTarget.value)} onBlur={() => void send(`${path}/remarks`, { text }).then(() => keep(text), () => undefined)} />
       <small class="quiet">{text === kept ? (text ? "kept" : "") : "kept when you leave the field"}</small>
     </section>
   );
@@ -186,7 +186,7 @@ function Compare({ state, path, done }: { state: State; path: string; done: (fil
       const mine = found.filter((one) => one.subject === state.subject);
       setOthers([...mine, ...found.filter((one) => one.subject !== state.subject)]);
       choose(mine[0]?.id ?? found[0]?.id ?? "");
-    });
+    }, (error: Error) => setStatus(error.message));
   }, [state.id]);
   if (!others.length) return null;
   const compare = () => {
@@ -221,6 +221,6 @@ function Again({ state, path }: { state: State; path: string }) {
 
 function Delete({ path }: { path: string }) {
   const [sure, ask] = useState(false);
-  const remove = () => void send(path, {}, "DELETE").then(() => { location.hash = "#/library"; });
+  const remove = () => void send(path, {}, "DELETE").then(() => { location.hash = "#/library"; }, () => ask(false));
   return <div class="actions end">{sure ? <><button type="button" class="danger" onClick={remove}>Delete the session and its recording</button><button type="button" onClick={() => ask(false)}>Keep it</button></> : <button type="button" onClick={() => ask(true)}>Delete…</button>}</div>;
 }
