@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from kinegraph.stream.engine.pipeline import Pipeline
 
 FOLDER = "takes"
-MOST_SAMPLES = 60_000
+MAX_SAMPLES = 60_000
 """A take of more poses is ended: it is held in memory."""
-MOST_NAME = 64
+MAX_NAME = 64
 
 log = structlog.get_logger(__name__)
 
@@ -53,14 +53,14 @@ class Takes:
 
     def _keep(self, chunk: Chunk) -> None:
         """In the graph's thread: arrays that are emitted are never written again."""
-        if self._called and len(chunk.time) and self._count < MOST_SAMPLES:
+        if self._called and len(chunk.time) and self._count < MAX_SAMPLES:
             self._kept.append(chunk)
             self._count += len(chunk.time)
 
     def begin(self, called: str) -> str:
         """Begin a take, and end the one that runs; returns its name."""
         self._kept, self._count = [], 0
-        self._called = re.sub(r"[^\w.-]+", "_", called.strip())[:MOST_NAME].strip("._") or "take"
+        self._called = re.sub(r"[^\w.-]+", "_", called.strip())[:MAX_NAME].strip("._") or "take"
         return self._called
 
     def end(self, folder: Path) -> list[Path]:

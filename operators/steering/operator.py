@@ -21,7 +21,7 @@ from kinegraph.operators.steering.model.assemble_kernel import (
     put,
 )
 from kinegraph.operators.steering.model.fit import Steering
-from kinegraph.operators.steering.model.ground import MOST, around_feet, stand_on_ground
+from kinegraph.operators.steering.model.ground import MAX_SHARE, around_feet, stand_on_ground
 from kinegraph.operators.steering.model.marker_frame import see_from
 from kinegraph.operators.steering.model.part import Part
 from kinegraph.operators.steering.model.pose_parameters import tell_pose
@@ -249,7 +249,7 @@ class SteerMesh(_Steered):
         s.last[0] = now
         high = float(np.ptp(s.latest[:, 1]))
         stand_on_ground(
-            s.latest, learned.vertices[self.feet], learned.spread[self.feet, 1], self.around, MOST * high, dt, s.travelled, s.feet
+            s.latest, learned.vertices[self.feet], learned.spread[self.feet, 1], self.around, MAX_SHARE * high, dt, s.travelled, s.feet
         )  # fmt: skip
 
     def _told(self) -> Samples:

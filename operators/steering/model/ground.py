@@ -15,7 +15,7 @@ RISES_M_S = 0.05
 """The ground is where the lowest foot was of late: it may rise so quickly."""
 REACH = 0.45
 """A foot that is held takes along what is within this share of the mesh's height."""
-MOST = 0.25
+MAX_SHARE = 0.25
 """No foot is held farther from where its markers put it than this share of the mesh's height: it is dragged along."""
 EASE_S = 0.1
 """A foot that is lifted goes to where its markers put it this quickly."""
