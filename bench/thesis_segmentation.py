@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -219,9 +220,9 @@ def timing(folder: Path) -> Section:
     for kind, name, pose, truth in recordings(folder):
         features = pose.through(Stack())
         took = [
-            seconds(lambda: features.through(Bundle())),
-            seconds(lambda: segment(features)),
-            seconds(lambda: by_aligned_clusters(pose, truth)),
+            seconds(partial(features.through, Bundle())),
+            seconds(partial(segment, features)),
+            seconds(partial(by_aligned_clusters, pose, truth)),
         ]
         rows.append([f"{name}, {kind.partition(', ')[2]}", str(len(pose.data)), *took])
     return Section(
