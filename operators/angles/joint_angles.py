@@ -223,7 +223,7 @@ class JointAngles(Operator[JointAnglesState]):
         frames = np.empty((SEGMENTS + 1, 3, 3))
         frames[LABORATORY] = np.eye(3)
         frames_of(places, 0.0, 0.0, 0.0, frames[:SEGMENTS])
-        there = np.isfinite(frames).all(axis=(1, 2))
+        there = np.asarray(np.isfinite(frames).all(axis=(1, 2)))
         seen = np.repeat([there[row[1]] and there[row[2]] for row in JOINTS], 3)
         return np.flatnonzero(seen & np.array([bool(name) for name in CHANNELS]))
 

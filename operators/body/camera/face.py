@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.operators.body.camera.expressions import EXPRESSIONS, MEASURES, expressions, learn_rest, measures
 from kinegraph.operators.body.camera.parts import FIGURE, Around, model_of, part_of, take_pairs
 from kinegraph.operators.body.names import LANDMARKS, SEEN
-from kinegraph.operators.body.network.crop import Image
+from kinegraph.operators.body.network.crop import Image, Single
 from kinegraph.operators.body.network.pairing import Pairing
 from kinegraph.operators.body.network.published import FACE, interpreter
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec
@@ -90,8 +90,8 @@ class Face(Operator[FaceState]):
         model, pairing = model_of(FACE, self.model, needed=self.needed), Pairing.within(0.02, image, seen)
         rest, weights = np.full(MEASURES, np.nan), np.zeros(len(EXPRESSIONS))
         self.set_state(FaceState(model, pairing, np.full(4, np.nan), rest, np.zeros(1), weights, 0, 0))
-        facts = {"rate_hz": seen.rate_hz, "settling_s": seen.settling_s}
-        return {"out": StreamSpec((len(EXPRESSIONS),), channels=EXPRESSIONS, **facts)}
+        shape, rate = (len(EXPRESSIONS),), seen.rate_hz
+        return {"out": StreamSpec(shape, rate_hz=rate, channels=EXPRESSIONS, settling_s=seen.settling_s)}
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
         return self._made(take_pairs(self.state.pairing, port, chunk), chunk.until)
@@ -132,12 +132,13 @@ class Face(Operator[FaceState]):
         if np.isnan(square[0]) or square[2] < self.min_px:
             square[:] = np.nan
             return None
-        around = Around(*square.tolist(), SIZE)
+        x, y, side, turn = square.tolist()
+        around = Around(x, y, side, turn, SIZE)
         raw, presence = self._raw(part_of(image, around))
         if not presence > 0.5:
             square[:] = np.nan
             return None
-        points = np.c_[around.in_image(raw[:, :2]), raw[:, 2:] * (around.side / SIZE)]
+        points: Samples = np.hstack([around.in_image(raw[:, :2]), raw[:, 2:] * (around.side / SIZE)])
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
         across, down = points[CORNERS[1], :2] - points[CORNERS[0], :2]
         square[:] = *((low + high) / 2), FOLLOWED * max(high - low), math.atan2(down, across)
@@ -152,7 +153,7 @@ class Face(Operator[FaceState]):
         across, down = points[EYES[2], :2] - points[EYES[0], :2]
         return np.array([*((eyes + mouth) / 2), REACH * math.dist(eyes, mouth), math.atan2(down, across)])
 
-    def _raw(self, part: Samples) -> tuple[Samples, float]:
+    def _raw(self, part: Single) -> tuple[Samples, float]:
         """Points (468, 3) in the part's pixels, and how sure the network is (0 to 1)."""
         if self.state.model == FIGURE:
             return _oval(float(part.mean())), 0.9
@@ -185,4 +186,5 @@ def _oval(light: float) -> Samples:
     k = np.arange(POINTS)
     angle = 2.399963 * k
     far = np.sqrt(k / POINTS)
-    return np.c_[96 + 50 * far * np.cos(angle), 96 + 60 * far * np.sin(angle) * (0.8 + 0.4 * light), 10 * np.cos(angle)]
+    across, down = 96 + 50 * far * np.cos(angle), 96 + 60 * far * np.sin(angle) * (0.8 + 0.4 * light)
+    return np.stack([across, down, 10 * np.cos(angle)], axis=1)

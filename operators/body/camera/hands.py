@@ -12,7 +12,7 @@ import numpy as np
 from kinegraph.operators.body.camera.hand_bends import hand_bends
 from kinegraph.operators.body.camera.parts import FIGURE, Around, model_of, part_of, take_pairs
 from kinegraph.operators.body.names import LANDMARKS, SEEN
-from kinegraph.operators.body.network.crop import Image
+from kinegraph.operators.body.network.crop import Image, Single
 from kinegraph.operators.body.network.pairing import Pairing
 from kinegraph.operators.body.network.published import HAND, interpreter
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec
@@ -92,10 +92,10 @@ class Hands(Operator[HandsState]):
         pairing = Pairing.within(0.02, image, seen)
         model = model_of(HAND, self.model, needed=self.needed)
         self.set_state(HandsState(model, pairing, np.full((2, 4), np.nan), RELAXED.copy(), np.zeros(2, np.int64), 0))
-        facts = {"rate_hz": seen.rate_hz, "settling_s": seen.settling_s}
+        rate, settling = seen.rate_hz, seen.settling_s
         return {
-            "out": StreamSpec((), HANDS, units=("m", "px", ""), meta=seen.meta, **facts),
-            "bends": StreamSpec((len(BENDS),), channels=BENDS, units=("deg",), **facts),
+            "out": StreamSpec((), HANDS, rate, units=("m", "px", ""), settling_s=settling, meta=seen.meta),
+            "bends": StreamSpec((len(BENDS),), rate_hz=rate, channels=BENDS, units=("deg",), settling_s=settling),
         }
 
     def process(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
@@ -147,7 +147,8 @@ class Hands(Operator[HandsState]):
         if np.isnan(square[0]) or square[2] < self.min_px:
             square[:] = np.nan
             return False
-        around = Around(*square.tolist(), SIZE)
+        x, y, side, turn = square.tolist()
+        around = Around(x, y, side, turn, SIZE)
         points, presence, world = self._raw(part_of(image, around))
         out["presence"][hand] = presence
         if not presence >= self.presence:
@@ -169,7 +170,7 @@ class Hands(Operator[HandsState]):
         turn = math.pi / 2 - math.atan2(-down, across)
         return np.array([middle[0] + 0.1 * across, middle[1] + 0.1 * down, side, turn])
 
-    def _raw(self, part: Samples) -> tuple[Samples, float, Samples]:
+    def _raw(self, part: Single) -> tuple[Samples, float, Samples]:
         """Landmarks (21, 3) in the part's pixels, presence, landmarks (21, 3) in metres."""
         if self.state.model == FIGURE:
             return _flat_hand(float(part.mean()))
