@@ -24,7 +24,7 @@ DATA, FACTS = "kinegraph-data", "kinegraph-facts"
 """The server's two streams: messages in order, and the last fact of each kind."""
 DATA_SUBJECTS, FACT_SUBJECTS = f"{PREFIX}.*.data.>", f"{PREFIX}.*.facts.>"
 MAX_BYTES = 256 << 10
-"""A message is sent once it has so many bytes of samples."""
+"""A message is sent once it has this many bytes of samples."""
 GATHER_S = 0.1
 """Or once its first chunk is so old."""
 MAX_SAMPLE_BYTES = 960 << 10

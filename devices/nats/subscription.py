@@ -16,7 +16,7 @@ HEARTBEAT_S = 1.0
 SILENT_S = 3.5
 """Without even a heartbeat for so long, the server has forgotten the subscription."""
 MAX_WAITING_BYTES = 16 << 20
-"""Beyond so much that waits here, the server is asked to wait."""
+"""With this much waiting here, the server is asked to wait."""
 FORGET_S = 60.0
 """So long the server keeps a subscription of a process that is gone."""
 
@@ -34,7 +34,7 @@ class Received:
 class Subscription:
     """The server pushes; what arrives waits here. A message that is missing between two makes it begin again after the one before.
 
-    lost_disk   how often the server's stream was made anew, and so was read from its beginning
+    lost_disk   how often the server's stream was made again, and so was read from its beginning
     error       why nothing can be read now
     """
 

@@ -37,7 +37,7 @@ BREATH = np.dtype(
 )
 """A sleeper's breath in an epoch; see `Breathing`."""
 UNEVEN, MIN_IRREGULAR, USUALLY = 0.3, 0.15, 0.2
-"""How much of the rate its interval grows with what of the wave is not regular, which is taken to be so much at least, and so much where
+"""How much of the rate its interval grows with what of the wave is not regular, of which there is at least MIN_IRREGULAR, and USUALLY where
 it is not known: from uneven breath in rooms of chosen seeds."""
 NIGHT_NS = 4 * 3600 * NS
 """After this long out of bed, coverage is counted from zero."""

@@ -32,7 +32,7 @@ something new, and it was there before; `away_s`: how long the last of its kind 
 frames that have a neighbour of that kind."""
 NEEDED = {"onset", "end", "cluster", "repetition"}
 ASKED = 32
-"""So many frames of a repetition are looked up."""
+"""This many frames of a repetition are looked up."""
 MOST = 4096
 """Clusters beyond this many are not remembered."""
 
@@ -78,7 +78,7 @@ class Returning(Operator[ReturningState]):
     inputs = {"in": Input(rows=True), "radius": Input(optional=True), "primitive": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("known",)
 
-    window_s: float = param(3600.0, above=0.0, help="so much of repetitions is remembered")
+    window_s: float = param(3600.0, above=0.0, help="how long repetitions are remembered")
     share: float = param(
         0.7, above=0.0, most=1.0, help="of a repetition's frames that must have a neighbour of one kind"
     )

@@ -26,7 +26,7 @@ READ = ((1, 1, 1, 3 * POINTS), (1, 1, 1, 1))
 EYES = [LANDMARKS.index(f"{side}_eye_{end}") for side in ("right", "left") for end in ("outer", "inner")]
 MOUTH = [LANDMARKS.index(name) for name in ("mouth_right", "mouth_left")]
 REACH, FOLLOWED = 4.2, 1.5
-"""The square is so much larger than the way from the eyes to the mouth; and than all of the face's points."""
+"""By this factor the square is larger than the way from the eyes to the mouth; and than all of the face's points."""
 CORNERS = (33, 263)
 """Outer corners of the right and the left eye."""
 

@@ -31,9 +31,9 @@ PLACES = np.array(
     [[LANDMARKS.index(f"{side}_{part}") for part in ("wrist", "index", "pinky")] for side in ("left", "right")]
 )
 REACH = 2.6
-"""The square around a hand is so much larger than the way from the wrist to the middle of the knuckles."""
+"""By this factor the square around a hand is larger than the way from the wrist to the middle of the knuckles."""
 FOLLOWED = 1.7
-"""... and so much larger than all of its landmarks."""
+"""... and by this one larger than all of its landmarks."""
 
 
 @dataclass(slots=True)
