@@ -355,7 +355,7 @@ def test_recordings_that_cannot_be_mapped_are_refused(kinegraph: Command, tmp_pa
 def test_of_many_poses_some_are_drawn_and_the_rest_is_density(
     index: MotionIndex, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(picture, "MOST_DRAWN", 500)
+    monkeypatch.setattr(picture, "MAX_DRAWN", 500)
     header, numbers = decode(picture.points(index))
     n, bins = header["n"], header["bins"]
     assert 400 <= n <= 500 < len(index.poses)

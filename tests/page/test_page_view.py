@@ -250,7 +250,7 @@ def test_a_view_from_afar_of_many_channels_and_many_moments_is_bounded() -> None
 def test_a_look_that_would_read_too_much_shows_what_is_seen_from_afar(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("kinegraph.devices.page.recorded.reading.MOST_READ", 3000)
+    monkeypatch.setattr("kinegraph.devices.page.recorded.reading.MAX_READ", 3000)
     with Recording.open(recording) as opened:
         hub = RecordingHub(opened)
         hub.build(lambda message: None)

@@ -203,7 +203,7 @@ def test_a_place_is_taken_once(tmp_path: Path) -> None:
 
 
 def test_a_part_ends_before_its_index_fills_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinegraph.stream.recording.write.file_segments.MOST_SAVES", 3)
+    monkeypatch.setattr("kinegraph.stream.recording.write.file_segments.MAX_SAVES", 3)
     made = session(seconds=4.0)
     record(tmp_path / "s", made, wait=False, pause=0.02, flush_s=0.0, gather_s=0.005).close()
     assert len(list((tmp_path / "s").glob("*.mcap"))) > 2
@@ -214,7 +214,7 @@ def test_a_session_that_outruns_the_clock_begins_a_file_every_quarter_of_an_hour
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else the overviews of ten hours that pass in minutes would stand in memory."""
-    monkeypatch.setattr("kinegraph.stream.recording.write.file_segments.MOST_S", 1.0)
+    monkeypatch.setattr("kinegraph.stream.recording.write.file_segments.MAX_S", 1.0)
     made = session(seconds=4.0)
     record(tmp_path / "live", made, wait=False, pause=0.02, flush_s=0.0, gather_s=0.005).close()
     assert len(list((tmp_path / "live").glob("*.mcap"))) > 2
