@@ -188,7 +188,7 @@ def _decoders(seconds: float) -> Iterator[tuple[str, float, list[bytes], Callabl
 
     yield "Cyton", 250.0, [cyton.packet(i, row) for i, row in enumerate(counts)], read_cyton
 
-    source = load(HOUSE / "configs" / "witmotion.yaml").nodes["shank"].part
+    source = load(HOUSE / "configs" / "witmotion.yaml").nodes["sensor"].part
     assert isinstance(source, Binary)
     layouts, brain = source.layouts(), BinaryModel(source)
 

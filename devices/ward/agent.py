@@ -31,8 +31,10 @@ from kinegraph.stream.recording.format.checkpoint import NAME as CHECKPOINT
 from kinegraph.stream.recording.format.paths import parts_of
 from kinegraph.stream.recording.format.versions import release
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
+from kinegraph.stream.text.time_text import for_names
 
 COMMAND = (sys.executable, "-P", "-c", "from kinegraph.stream.cli.main import main; main()")
+
 REPORT_S = 5.0
 WATCH_S = 60.0
 """A new graph that ends within this time is not kept."""
@@ -137,7 +139,7 @@ class Agent:
             if (folder / CHECKPOINT).exists():
                 resume = ["--resume"]
             else:
-                folder.rename(self.home / f"session-{time.strftime('%Y%m%d-%H%M%S')}")
+                folder.rename(self.home / f"session-{for_names()}")
         self._started_s, self._changed = time.monotonic(), True
         self.restarts += 1
         with (self.home / "output.txt").open("ab") as output:
@@ -215,7 +217,7 @@ class Agent:
     def _change(self, name: str, order: dict[str, Any]) -> None:
         self._end_child()
         if parts_of(self.home / "session"):
-            (self.home / "session").rename(self.home / f"session-{time.strftime('%Y%m%d-%H%M%S')}-{order['id'][:6]}")
+            (self.home / "session").rename(self.home / f"session-{for_names()}-{order['id'][:6]}")
         self._keep(graph=name, before=self.kept["graph"], order=order)
         self._start()
 

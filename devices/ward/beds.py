@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from kinegraph.stream.chunk import NS
-from kinegraph.stream.text.time_text import in_hours
+from kinegraph.stream.text.time_text import about, in_hours
 
 SILENT_S = 20.0
 """A bed that reports every 5 s is silent after this time; whatever is silent is on the page within 60 s."""
@@ -53,7 +53,7 @@ class WardBed:
         quiet_s = now_s - self.status_s
         if self.status and quiet_s < SILENT_S and not self.status.get("ended"):
             return None
-        since = f"silent for {span(quiet_s)}" if self.status else "has not reported yet"
+        since = f"silent for {about(quiet_s)}" if self.status else "has not reported yet"
         if self.agent and now_s - self.agent_s < SILENT_S:
             if self.agent.get("running"):
                 return Trouble("alarm", "process hangs", f"{since}: the process runs and reports nothing")
@@ -80,7 +80,7 @@ class WardBed:
             quiet_s = (status["now"] - pulse["last"]) / NS if pulse["last"] else float(status.get("age_s", 0.0))
             quiet_s += now_s - self.status_s
             if quiet_s >= SENSOR_S:
-                found.append(Trouble("alarm", "sensor gone", f"no samples of {status['pulse']} for {span(quiet_s)}"))
+                found.append(Trouble("alarm", "sensor gone", f"no samples of {status['pulse']} for {about(quiet_s)}"))
         if (view := _row(streams, "what")) and view["what"] == "moved":
             found.append(Trouble("attention", "camera moved", "the camera was moved"))
         if 0 <= status.get("free_bytes", -1) < LOW_DISK_BYTES:
@@ -145,7 +145,7 @@ def state_of(streams: dict[str, Any], now: int) -> str:
     rate = f" {breathing['rate']:.0f}/min" if breathing and breathing["rate"] else ""
     presence, sleep = _row(streams, "state", ("in", "out")), _row(streams, "state", ("sleep", "wake"))
     if presence and presence["state"] == "out":
-        return f"out of bed for {span((now - presence['_last']) / NS)}"
+        return f"out of bed for {about((now - presence['_last']) / NS)}"
     if sleep:
         return f"{'asleep' if sleep['state'] == 'sleep' else 'awake in bed'}{rate}"
     if presence:
@@ -169,15 +169,6 @@ def _row(streams: dict[str, Any], name: str, among: tuple[str, ...] = ()) -> dic
         if name in one["row"] and (not among or one["row"][name] in among)
     ]
     return max(found, key=lambda row: row["_last"]) if found else None
-
-
-def span(seconds: float) -> str:
-    """A span of time for people: 40 s, 12 min, 3 h 20."""
-    if seconds < 90:
-        return f"{max(seconds, 0):.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds // 3600:.0f} h {seconds % 3600 // 60:02.0f}"
 
 
 def night_line(facts: dict[str, Any]) -> str:

@@ -84,6 +84,9 @@ class BreathCells:
         cells = -(-shape[0] // size) * across
         rates = np.arange(LOWEST - STEP, min(WIDEST, 60 * tick_hz * 0.45) + STEP / 2, STEP)
         angles = 2 * np.pi * np.outer(rates / 60, np.arange(n) / tick_hz)
+        # compiled now: made-up samples of the warm-up seldom breathe
+        vary(np.zeros((1, 1)), 0, 1, np.empty((3, 1)))
+        spectra(np.zeros((4, 1)), 0, 1, np.zeros(1, np.int64), np.zeros((1, 4)), np.zeros((1, 4)), np.empty((1, 1)))
         return BreathCells(
             size, across, tick_ns, segments, np.full((n * segments, cells), np.nan), NEVER, np.zeros(cells), np.zeros(cells),
             rates, np.cos(angles), np.sin(angles), still_mm_s / tick_hz,

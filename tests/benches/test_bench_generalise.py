@@ -44,6 +44,11 @@ def test_counts_are_taken_where_an_exercise_is_and_all_of_idle_time_is_false() -
     still = regular(np.zeros((1800, 2)))
     tally.take(Item("sets", "a", still, counts=[(0.0, 10.0, 3), (15.0, 25.0, 3)]), found)
     tally.take(Item("idle", "b", still, idle_min=2.0), found)
-    assert tally.figures["sets"] == {"exact": [True, False], "within 1": [True, False], "MAE": [0.0, 2 / 3]}
+    assert tally.figures["sets"] == {
+        "exact": [True, False],
+        "within 1": [True, False],
+        "MAE": [0.0, 2 / 3],
+        "peaks": [False, False],
+    }
     assert tally.figures["idle"]["counts a minute"] == [2.0]
     assert len({len(row) for row in tally.rows()}) == 1

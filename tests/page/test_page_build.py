@@ -45,7 +45,7 @@ def test_the_page_is_typed_strictly(bundle: Any, tmp_path: Path) -> None:
 def test_the_built_page_is_that_of_these_sources_and_small(bundle: Any) -> None:
     assert bundle.is_current(), "run python devices/page/web/bundle.py"
     files = [path.read_bytes() for path in BUILT.parent.iterdir() if path.suffix in {".html", ".js", ".css"}]
-    assert len(files) == 8
+    assert len(files) == 10
     assert sum(len(gzip.compress(content)) for content in files) < MOST_BYTES
 
 

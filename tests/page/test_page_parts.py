@@ -463,11 +463,11 @@ def test_every_message_stands_in_the_docs() -> None:
 
 
 SHIPPED = {
-    "avatar_markers": {"avatar", "scene", "signal", "state", "graph", "log"},
+    "avatar_markers": {"answer", "avatar", "scene", "signal", "state", "graph", "log"},
     "treadmill_emg": {"answer", "cycles", "signal", "events", "table", "state", "graph", "log"},
     "bedside_simulated": {"answer", "hypnogram", "weeks", "signal", "events", "table", "state", "graph", "log"},
     "bedside_sleep": {"answer", "hypnogram", "weeks", "signal", "events", "table", "state", "graph", "log"},
-    "segment_mocap": {"similarity", "scene", "signal", "events", "table", "state", "graph", "log"},
+    "segment_mocap": {"answer", "similarity", "scene", "signal", "events", "table", "state", "graph", "log"},
 }
 
 

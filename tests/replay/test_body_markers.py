@@ -29,6 +29,7 @@ def replayed() -> kg.Results:
     graph = written.load(CONFIG.read_text(encoding="utf-8"))
     for node in ("network", "markers"):
         del graph["nodes"][node]
+    del graph["page"]  # it shows what is left out here
     graph["record"] = ["background.floor", "persons.persons"]
     written.dump(graph, text)
     without = kg.Graph.from_yaml(text.getvalue())

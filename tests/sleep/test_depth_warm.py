@@ -10,7 +10,7 @@ from kinegraph.operators.bed import breath
 from kinegraph.operators.bed.breathing import Breathing
 case = Breathing.cases()[0]
 case.operator.open({port: spec for port, (spec, _, _) in case.inputs.items()})
-print([k.__name__ for k in (breath.vary, breath.straighten, breath.powers) if not k.signatures])
+print([k.__name__ for k in (breath.vary, breath.spectra) if not k.signatures])
 """
 
 

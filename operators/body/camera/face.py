@@ -65,7 +65,7 @@ class Face(Operator[FaceState]):
     that follows irises is in no package that may be fetched. A face that is turned away or smaller than `min_px` relaxes after `hold_s`.
 
     >>> given, made = tried(Face)
-    >>> made["out"].shape, made["out"].min() >= 0.0, made["out"].max() <= 1.0
+    >>> made.shape, (made >= 0.0).all().item(), (made <= 1.0).all().item()
     ((40, 21), True, True)
     """
 

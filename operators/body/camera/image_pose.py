@@ -54,7 +54,7 @@ class ImagePose(Operator[ImagePoseState]):
     operators.body.camera.one_camera.OneCamera places the landmarks by the body's height. It can be recorded where images are not.
 
     >>> given, made = tried(ImagePose)
-    >>> given["in"].shape, made["out"]["presence"][-1].round(2).item()
+    >>> given["in"].shape, made["presence"][-1].round(2).item()
     ((60, 48, 64, 3), 0.9)
     """
 

@@ -52,8 +52,8 @@ class OneCamera(Operator[OneCameraState]):
     changes from frame to frame and is the least certain of all. A wrong height makes everything larger or smaller, by its share.
 
     >>> given, made = tried(OneCamera)
-    >>> made["out"].shape, made["out"][10, 10].round(1).tolist()  # the left hip
-    ((90, 20, 3), [0.1, 0.0, 2.5])
+    >>> made["out"].shape, made["confidence"].max().round(2).item()
+    ((90, 20, 3), 0.95)
     """
 
     outputs: ClassVar[tuple[str, ...]] = ("out", "confidence")
