@@ -167,8 +167,8 @@ def test_faults_of_the_camera_are_not_scored() -> None:
     unseen = (at >= 900) & (at < 1200) | (at >= 1500) & (at < 1800)
     assert unseen.sum() == 20 and np.isnan(rates["rate"][unseen]).all()
     states = [(str(e["state"]), round((int(e["onset"]) - START) / NS)) for e in run["presence"]]
-    assert [state for state, _ in states] == ["out", "in", "unknown", "in", "unknown", "in", "out", "unknown"]
-    assert [second for _, second in states[2:6]] == [1500, 1800, 2100, 2700]
+    assert [state for state, _ in states] == ["out", "in", *["unknown", "in"] * 3, "out", "unknown"]
+    assert [second for _, second in states[2:8]] == [900, 1200, 1500, 1800, 2100, 2700]
 
 
 def test_two_sleepers_are_told_apart() -> None:
