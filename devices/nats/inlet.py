@@ -170,6 +170,8 @@ class _Reading:
         self._known = {digest_of(spec_text(spec))}
         self._clock = BedClock(link, of.bed, feed.now)
         self._measured = 0
+        self._stale = NEVER
+        """Up to here the recording goes where the index is of earlier: that counts what is missing once messages were read again."""
         position, created, applied = self._start()
         self._mapping = ClockMapping(applied)
         self._reader = StreamReader(spec, position)
@@ -178,7 +180,7 @@ class _Reading:
         """What the recording may have on its disk soon: when it was emitted, and the position as it is written down."""
         self._written_s = 0.0
         self._error = ""
-        self._counted = self._lost_disk = self._repeated = 0
+        self._counted = self._lost_disk = self._noticed = self._repeated = 0
 
     def _start(self) -> tuple[Position, str, int | None]:
         """Where to begin: the position, in the stream made when, and the offset that was applied."""
@@ -197,6 +199,7 @@ class _Reading:
             return Position(index=0 if of.start == "all" or not position.sequence else -1), "", offset
         until -= mapped - (self._spec.period_ns // 2 if of.stamps == "centre" else 0)
         if position.until <= until:
+            self._stale = until if position.until < until else NEVER
             position.until = until
             return position, created, offset
         return Position(until=until), created, offset
@@ -222,6 +225,12 @@ class _Reading:
 
     def _take(self, one: Received) -> None:
         self._check(one.spec)
+        if self._subscription.lost_disk > self._noticed:
+            self._noticed = self._subscription.lost_disk
+            if (
+                NEVER != self._stale == self._reader.position.until
+            ):  # nothing was read since: how many are missing is not known
+                self._reader.position.index = -1
         try:
             chunks = self._reader.read(one.sequence, one.session, one.body)
         except DAMAGE as error:
