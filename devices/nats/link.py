@@ -206,7 +206,7 @@ def explained(error: BaseException) -> str:
     return str(error).removeprefix("nats: ") or type(error).__name__
 
 
-async def make_streams(link: Link, most_bytes: int = -1, age_s: float = 7 * 86400.0) -> None:
+async def make_streams(link: Link, max_bytes: int = -1, age_s: float = 7 * 86400.0) -> None:
     """Make the server's two streams where they are missing; those that are there stay as they are."""
     from nats.js.api import StreamConfig
     from nats.js.errors import BadRequestError
@@ -216,7 +216,7 @@ async def make_streams(link: Link, most_bytes: int = -1, age_s: float = 7 * 8640
             name=DATA,
             subjects=[DATA_SUBJECTS],
             max_age=age_s,
-            max_bytes=most_bytes,
+            max_bytes=max_bytes,
             duplicate_window=min(WINDOW_S, age_s),
         ),
         StreamConfig(name=FACTS, subjects=[FACT_SUBJECTS], max_msgs_per_subject=1),

@@ -18,8 +18,8 @@ FINGER_BONES = tuple(f"{side}{finger}{joint}" for side in SIDES for finger in FI
 """As Unity and VRM 0 call them; 30."""
 BENDS = tuple(f"{side}{finger}.{move}" for side in SIDES for finger in FINGERS for move in MOVES)
 """The channels of a stream of bends; 40."""
-LEAST = np.tile([[-20.0, -35.0, -15.0, -25.0], *([[-25.0, -20.0, 0.0, -5.0]] * 4)], (2, 1, 1)).ravel()
-MOST = np.tile([[55.0, 45.0, 60.0, 80.0], *([[95.0, 25.0, 115.0, 80.0]] * 4)], (2, 1, 1)).ravel()
+MIN_BENDS = np.tile([[-20.0, -35.0, -15.0, -25.0], *([[-25.0, -20.0, 0.0, -5.0]] * 4)], (2, 1, 1)).ravel()
+MAX_BENDS = np.tile([[55.0, 45.0, 60.0, 80.0], *([[95.0, 25.0, 115.0, 80.0]] * 4)], (2, 1, 1)).ravel()
 """What joints of people allow (degrees), in the order of BENDS."""
 RELAXED = np.tile(
     [[15.0, 10.0, 15.0, 15.0], *([[20.0 + 4 * k, 3.0 * (1 - k), 25.0, 15.0] for k in range(4)])], (2, 1, 1)

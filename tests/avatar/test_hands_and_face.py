@@ -27,8 +27,8 @@ from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.domain.fingers import (
     BENDS,
     FINGER_BONES,
-    LEAST,
-    MOST,
+    MAX_BENDS,
+    MIN_BENDS,
     RELAXED,
     finger_offsets,
     finger_rotations,
@@ -55,7 +55,7 @@ def landmarks(bends: np.ndarray, hand: int) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(5))
 def test_the_bends_of_a_hand_are_found_in_its_landmarks(hand: int, seed: int) -> None:
     random = np.random.default_rng(seed)
-    bends = np.where(random.random(40) < 0.5, 0.0, random.uniform(0.0, 0.8 * MOST))
+    bends = np.where(random.random(40) < 0.5, 0.0, random.uniform(0.0, 0.8 * MAX_BENDS))
     bends[[k for k, name in enumerate(BENDS) if "spread" in name or "Thumb" in name]] = 0.0
     turn = Rotation.random(random_state=seed)
     found = np.empty((5, 4))
@@ -77,7 +77,7 @@ def test_fingers_and_thumb_curl_towards_the_palm() -> None:
 def test_a_hand_that_is_not_seen_keeps_its_bends_and_then_relaxes() -> None:
     operator, spec = Hands(model="figure", min_px=400.0, hold_s=0.5, relax_s=0.2), StreamSpec((), SEEN, rate_hz=30.0)
     operator.open({"image": StreamSpec((48, 64, 3), np.dtype(np.uint8), rate_hz=30.0), "seen": spec})
-    operator.state.bends[:] = MOST
+    operator.state.bends[:] = MAX_BENDS
     operator.state.seen[:] = operator.state.last = NS
     rows = []
     for k in range(1, 60):
@@ -85,9 +85,9 @@ def test_a_hand_that_is_not_seen_keeps_its_bends_and_then_relaxes() -> None:
         operator.process("image", Chunk(time, np.zeros((1, 48, 64, 3), np.uint8), int(time[0])))
         made = dict(operator.process("seen", Chunk(time, np.zeros(1, SEEN), int(time[0]))))
         rows += made["bends"].data.tolist()
-    assert np.array_equal(rows[10], MOST)
+    assert np.array_equal(rows[10], MAX_BENDS)
     np.testing.assert_allclose(rows[-1], RELAXED, atol=1.0)
-    assert (RELAXED >= LEAST).all() and (RELAXED <= MOST).all()
+    assert (RELAXED >= MIN_BENDS).all() and (RELAXED <= MAX_BENDS).all()
 
 
 def test_fingers_go_out_as_unitys_bones_beside_the_body() -> None:

@@ -175,6 +175,6 @@ def test_a_video_is_imported_with_its_times(whole: Path) -> None:
 
 
 def test_a_video_that_would_fill_the_disk_is_not_imported(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kinegraph.devices.cameras.video.importer.MOST_BYTES", 10_000)
+    monkeypatch.setattr("kinegraph.devices.cameras.video.importer.MAX_BYTES", 10_000)
     with pytest.raises(RecordingError, match="play it in a graph instead"):
         VIDEO.read([whole], ImportOptions(), True)

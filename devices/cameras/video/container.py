@@ -1,4 +1,4 @@
-"""A video as PyAV (ffmpeg's libraries) opens it: a webcam, a file or an address; and what it says of itself."""
+"""A video as PyAV (ffmpeg's libraries) opens it: a webcam, a file or an address; and what it shows of itself."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def opened(url: str, width: int, height: int, fps: float) -> Iterator[tuple[Any,
 
 
 def reason(error: Exception) -> str:
-    """What PyAV says went wrong, in its words and without its numbers."""
+    """What went wrong, in PyAV's words and without its numbers."""
     text = getattr(error, "strerror", None) or str(error)
     return str(text).strip() or type(error).__name__
 
@@ -112,7 +112,7 @@ class FileFacts:
 
 
 def file_facts(path: str) -> FileFacts:
-    """What a file says of itself, by its headers and packets, decoding nothing. Raises DeviceError."""
+    """What a file shows of itself, by its headers and packets, decoding nothing. Raises DeviceError."""
     stat = Path(path).stat()
     return _file_facts(path, stat.st_mtime_ns, stat.st_size)
 
@@ -125,7 +125,7 @@ def _file_facts(path: str, _changed: int, _size: int) -> FileFacts:
         try:
             times = sorted(packet.pts for packet in container.demux(stream) if packet.pts is not None)
         except av.error.FFmpegError:
-            times = []  # damaged towards the end; reading says so
+            times = []  # damaged towards the end; reading reports it
         average, base, sides = (
             stream.average_rate or stream.guessed_rate,
             stream.time_base,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from kinegraph.stream.recording.series import Series
 
 SUFFIXES = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm")
-MOST_BYTES = 2 << 30
+MAX_BYTES = 2 << 30
 """Pictures that take more than this are not unpacked into a recording."""
 
 
@@ -36,7 +36,7 @@ def _series(path: Path, options: ImportOptions) -> Series:
         spec, facts = source.specs()["image"], container.file_facts(str(path))
     except (DeviceError, ParameterError) as error:
         raise RecordingError(f"{path}: cannot be read as a video ({error})") from None
-    if facts.frames * int(np.prod(spec.shape)) > MOST_BYTES:
+    if facts.frames * int(np.prod(spec.shape)) > MAX_BYTES:
         raise RecordingError(
             f"{path}: its {facts.frames} pictures would fill {facts.frames * int(np.prod(spec.shape)) / 1e9:.0f} GB; "
             f"play it in a graph instead: kinegraph run webcam_avatar --set url={path}"

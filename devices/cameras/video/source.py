@@ -22,7 +22,7 @@ from kinegraph.stream.source import Feed, Source
 
 USUAL_FOCAL = 0.87
 """Focal length in widths of the image, if not given: 60 degrees from side to side, as many webcams and telephones have."""
-MOST_WIDE = 640
+MAX_WIDTH = 640
 """A file's frames are made this wide at most, if no width is given: networks look at a part of 256 pixels."""
 SAME_SHAPE = 0.02
 """By this share the ratio of sides may differ from the declared one before a picture would look squeezed."""
@@ -74,7 +74,7 @@ class Video(Source):
             return self.width or 640, self.height or (480 if not self.width else round(self.width * 0.75))
         facts = self._file()
         width = self.width or (
-            round(self.height * facts.width / facts.height) if self.height else min(facts.width, MOST_WIDE)
+            round(self.height * facts.width / facts.height) if self.height else min(facts.width, MAX_WIDTH)
         )
         return width, self.height or max(1, round(width * facts.height / facts.width))
 
@@ -111,7 +111,7 @@ class Video(Source):
         return f"there is no webcam {wanted}; {others}"
 
     def present(self) -> bool | None:
-        return None if container.is_address(self.url) else not self.missing()
+        return None if container.is_address(self.url) else Path(self.address()).exists()
 
     def address(self) -> str:
         """What is opened."""

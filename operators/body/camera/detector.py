@@ -1,4 +1,4 @@
-"""Where people are in an image: BlazePose's detector, for the first frame and whenever nobody is followed."""
+"""Where people are in an image: BlazePose's detector, for the first frame and whenever no person is followed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GRIDS = ((28, 2), (14, 2), (7, 6))
 """Anchors: this many a side, and how many at each place."""
 SURE = 0.5
 SAME = 0.5
-"""Two finds whose hips are nearer than this share of the larger one's size are one person."""
+"""Two finds with hips nearer than this share of the larger one's size are one person."""
 AROUND = 1.25
 """How much larger than twice the way from the hips to the end of the body the square is."""
 

@@ -16,7 +16,7 @@ STATURE_M = 1.75
 """The height of a body with bones as long as LENGTHS."""
 BODY = np.array([0, 11, 12, 13, 14, 15, 16, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32])
 """Landmarks that lie on the skeleton, or nearly so."""
-LEAST_SEEN = 0.3
+MIN_SEEN = 0.3
 """Landmarks that the network sees less of do not count; four must remain."""
 TOO_LITTLE_PX = 4.0
 """A body that fills less of the image than this (a standard deviation of its landmarks) has no distance."""
@@ -33,7 +33,7 @@ def scale_of(points: Samples, lengths: Samples) -> float:
     n = 0
     for i in range(CHAINS.shape[0] + PAIRS.shape[0]):
         a, b, bone = CHAINS[i] if i < CHAINS.shape[0] else PAIRS[i - CHAINS.shape[0]]
-        if min(points[a, 3], points[b, 3]) < LEAST_SEEN:
+        if min(points[a, 3], points[b, 3]) < MIN_SEEN:
             continue
         guess = 0.0
         for c in range(5, 8):
@@ -56,7 +56,7 @@ def distance(points: Samples, camera: Samples, scale: float, body: NDArray[np.in
     for i in range(body.shape[0]):
         k = body[i]
         w = min(points[k, 3], points[k, 4])
-        if not w >= LEAST_SEEN:
+        if not w >= MIN_SEEN:
             continue
         n += 1
         u, v = (points[k, 0] - camera[2]) / camera[0], (points[k, 1] - camera[3]) / camera[1]
@@ -72,7 +72,7 @@ def distance(points: Samples, camera: Samples, scale: float, body: NDArray[np.in
     for i in range(body.shape[0]):
         k = body[i]
         w = min(points[k, 3], points[k, 4])
-        if not w >= LEAST_SEEN:
+        if not w >= MIN_SEEN:
             continue
         u, v = (points[k, 0] - camera[2]) / camera[0], (points[k, 1] - camera[3]) / camera[1]
         a, b = scale * (u * points[k, 7] - points[k, 5]), scale * (v * points[k, 7] - points[k, 6])

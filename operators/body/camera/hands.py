@@ -16,7 +16,7 @@ from kinegraph.operators.body.network.crop import Image, Single
 from kinegraph.operators.body.network.pairing import Pairing
 from kinegraph.operators.body.network.published import HAND, interpreter
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec
-from kinegraph.stream.domain.fingers import BENDS, LEAST, MOST, RELAXED
+from kinegraph.stream.domain.fingers import BENDS, MAX_BENDS, MIN_BENDS, RELAXED
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
@@ -132,7 +132,7 @@ class Hands(Operator[HandsState]):
             if image is not None and state.model and self._hand(hand, seen, np.atleast_3d(image), out):
                 bends = np.empty((5, 4))
                 hand_bends(np.ascontiguousarray(out["points"][hand]), hand == 0, bends)
-                state.bends[rows] = np.clip(bends.ravel(), LEAST[rows], MOST[rows])
+                state.bends[rows] = np.clip(bends.ravel(), MIN_BENDS[rows], MAX_BENDS[rows])
                 state.seen[hand] = time
             elif time - state.seen[hand] > self.hold_s * NS:
                 share = 1.0 - math.exp(-since / self.relax_s)

@@ -23,8 +23,8 @@ from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
-LEAST_SIDE, MOST_SIDE = 0.06, 4.0
-"""A square that is smaller or larger than these shares of the picture's larger side holds nobody who can be followed."""
+MIN_SIDE, MAX_SIDE = 0.06, 4.0
+"""A square that is smaller or larger than these shares of the picture's larger side holds no person who can be followed."""
 _reported: set[str] = set()
 
 log = structlog.get_logger(__name__)
@@ -46,7 +46,7 @@ class ImagePoseState:
 
 @dataclass(frozen=True, slots=True)
 class ImagePose(Operator[ImagePoseState]):
-    """The image of an ordinary camera in, what is seen of one person in it out: one sample a frame, NaN where there is nobody.
+    """The image of an ordinary camera in, what is seen of one person in it out: one sample a frame, NaN where there is no person.
 
     BlazePose (Apache-2.0; `kinegraph files fetch camera-models`) by LiteRT. A person is looked for in the whole image first (some 11 ms),
     and then followed from frame to frame (some 12 ms): put it on a `worker`. Of several people it takes the one who stands out near the
@@ -67,7 +67,7 @@ class ImagePose(Operator[ImagePoseState]):
     detector: str = param(
         "", help="the detector's file; left out: the one that `kinegraph files fetch camera-models` brings"
     )
-    needed: bool = param(True, help="false: without the networks the graph runs and finds nobody")
+    needed: bool = param(True, help="false: without the networks the graph runs and finds no person")
     reset_gap_s: float = reset_gap(
         0.5, "after a longer gap the person is looked for in the whole image again", above=0.0
     )
@@ -98,7 +98,7 @@ class ImagePose(Operator[ImagePoseState]):
                 raise
             if str(error) not in _reported:
                 _reported.add(str(error))
-                log.warning("no networks for an ordinary camera: it finds nobody", reason=str(error))
+                log.warning("no networks for an ordinary camera: it finds no person", reason=str(error))
             return ""
 
     def process(self, port: str, chunk: Chunk) -> Chunk:
@@ -134,7 +134,7 @@ class ImagePose(Operator[ImagePoseState]):
         inside = (
             -square[2] / 2 < square[0] < width + square[2] / 2 and -square[2] / 2 < square[1] < height + square[2] / 2
         )
-        if not (inside and LEAST_SIDE * longest < square[2] < MOST_SIDE * longest):
+        if not (inside and MIN_SIDE * longest < square[2] < MAX_SIDE * longest):
             square[:] = np.nan
 
     def _find(self, image: Image) -> bool:

@@ -18,7 +18,7 @@ from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.operator import Case, Operator, grid
 from kinegraph.stream.params import param
 
-MOST_COUNTED = 60.0
+MAX_COUNTED = 60.0
 """The scale of the network's guess is a mean over this many frames at least."""
 
 
@@ -93,7 +93,7 @@ class OneCamera(Operator[OneCameraState]):
         points = seen["points"].copy()
         now = scale_of(points, s.lengths)
         if not math.isnan(now):
-            s.scale[1] = min(s.scale[1] + 1.0, MOST_COUNTED)
+            s.scale[1] = min(s.scale[1] + 1.0, MAX_COUNTED)
             s.scale[0] += (now - s.scale[0]) / s.scale[1]
         if s.scale[1] == 0.0:
             return
