@@ -10,13 +10,21 @@ from typing import ClassVar
 import numpy as np
 
 from kinegraph.operators.body.camera.expressions import EXPRESSIONS, MEASURES, expressions, learn_rest, measures
-from kinegraph.operators.body.camera.parts import FIGURE, Around, model_of, part_of, take_pairs
+from kinegraph.operators.body.camera.parts import (
+    FIGURE,
+    Around,
+    Pair,
+    looked_at,
+    model_of,
+    pairing_of,
+    part_of,
+    take_pairs,
+)
 from kinegraph.operators.body.names import LANDMARKS, SEEN
 from kinegraph.operators.body.network.crop import Image, Single
 from kinegraph.operators.body.network.pairing import Pairing
 from kinegraph.operators.body.network.published import FACE, interpreter
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec
-from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
@@ -82,12 +90,8 @@ class Face(Operator[FaceState]):
     relax_s: float = param(0.3, above=0.0, help="how quickly it relaxes then")
 
     def open(self, specs: Specs) -> Specs:
-        image, seen = specs["image"], specs["seen"]
-        if image.dtype != np.uint8 or image.shape[2:] not in ((), (1,), (3,)):
-            raise InputError("image", image.describe(), "images (height, width) or (height, width, 3) uint8")
-        if seen.dtype != SEEN:
-            raise InputError("seen", seen.describe(), "what ImagePose or PoseNetwork gives")
-        model, pairing = model_of(FACE, self.model, needed=self.needed), Pairing.within(0.02, image, seen)
+        pairing, seen = pairing_of(specs), specs["seen"]
+        model = model_of(FACE, self.model, needed=self.needed)
         rest, weights = np.full(MEASURES, np.nan), np.zeros(len(EXPRESSIONS))
         self.set_state(FaceState(model, pairing, np.full(4, np.nan), rest, np.zeros(1), weights, 0, 0))
         shape, rate = (len(EXPRESSIONS),), seen.rate_hz
@@ -99,15 +103,14 @@ class Face(Operator[FaceState]):
     def close(self) -> list[tuple[str, Chunk]]:
         return self._made(self.state.pairing.pairs(FOREVER), FOREVER)
 
-    def _made(self, pairs: list[tuple[int, int, Array, Array | None]], until: int) -> list[tuple[str, Chunk]]:
-        limit, made = self.state.pairing.limit(until), list[tuple[str, Chunk]]()
-        for i, (time, lost, seen, image) in enumerate(pairs):
-            self._look(time, seen, image)
-            end = pairs[i + 1][0] - 1 if i + 1 < len(pairs) else limit
-            made.append(("out", Chunk(np.array([time], np.int64), self.state.weights[None].copy(), end, lost)))
-        return made or [("out", Chunk(np.empty(0, np.int64), np.zeros((0, len(EXPRESSIONS))), limit))]
+    def _made(self, pairs: list[Pair], until: int) -> list[tuple[str, Chunk]]:
+        return looked_at(self.state.pairing, pairs, until, self._look, {"out": np.zeros((0, len(EXPRESSIONS)))})
 
-    def _look(self, time: int, seen: Array, image: Image | None) -> None:
+    def _look(self, time: int, seen: Array, image: Image | None) -> dict[str, Array]:
+        self._follow(time, seen, image)
+        return {"out": self.state.weights[None].copy()}
+
+    def _follow(self, time: int, seen: Array, image: Image | None) -> None:
         """One frame."""
         state = self.state
         since = (time - state.last) / NS if state.last else 0.0

@@ -10,14 +10,22 @@ from typing import ClassVar
 import numpy as np
 
 from kinegraph.operators.body.camera.hand_bends import hand_bends
-from kinegraph.operators.body.camera.parts import FIGURE, Around, model_of, part_of, take_pairs
+from kinegraph.operators.body.camera.parts import (
+    FIGURE,
+    Around,
+    Pair,
+    looked_at,
+    model_of,
+    pairing_of,
+    part_of,
+    take_pairs,
+)
 from kinegraph.operators.body.names import LANDMARKS, SEEN
 from kinegraph.operators.body.network.crop import Image, Single
 from kinegraph.operators.body.network.pairing import Pairing
 from kinegraph.operators.body.network.published import HAND, interpreter
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.domain.fingers import BENDS, MAX_BENDS, MIN_BENDS, RELAXED
-from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
 
@@ -84,12 +92,7 @@ class Hands(Operator[HandsState]):
     relax_s: float = param(0.5, above=0.0, help="how quickly it relaxes then")
 
     def open(self, specs: Specs) -> Specs:
-        image, seen = specs["image"], specs["seen"]
-        if image.dtype != np.uint8 or image.shape[2:] not in ((), (1,), (3,)):
-            raise InputError("image", image.describe(), "images (height, width) or (height, width, 3) uint8")
-        if seen.dtype != SEEN:
-            raise InputError("seen", seen.describe(), "what ImagePose or PoseNetwork gives")
-        pairing = Pairing.within(0.02, image, seen)
+        pairing, seen = pairing_of(specs), specs["seen"]
         model = model_of(HAND, self.model, needed=self.needed)
         self.set_state(HandsState(model, pairing, np.full((2, 4), np.nan), RELAXED.copy(), np.zeros(2, np.int64), 0))
         rate, settling = seen.rate_hz, seen.settling_s
@@ -104,26 +107,14 @@ class Hands(Operator[HandsState]):
     def close(self) -> list[tuple[str, Chunk]]:
         return self._made(self.state.pairing.pairs(FOREVER), FOREVER)
 
-    def _made(self, pairs: list[tuple[int, int, Array, Array | None]], until: int) -> list[tuple[str, Chunk]]:
-        """A sample for each pair, in a chunk of its own: what is missing before it stays at its place."""
-        limit, made = self.state.pairing.limit(until), list[tuple[str, Chunk]]()
-        for i, (time, lost, seen, image) in enumerate(pairs):
-            out, bends = np.zeros(1, HANDS), np.empty((1, len(BENDS)))
-            self._look(time, seen, image, out[0])
-            bends[0] = self.state.bends
-            end = pairs[i + 1][0] - 1 if i + 1 < len(pairs) else limit
-            times = np.array([time], np.int64)
-            made += [("out", Chunk(times, out, end, lost)), ("bends", Chunk(times, bends, end, lost))]
-        if not pairs:
-            none = np.empty(0, np.int64)
-            made = [
-                ("out", Chunk(none, np.zeros(0, HANDS), limit)), ("bends", Chunk(none, np.zeros((0, len(BENDS))), limit)),
-            ]  # fmt: skip
-        return made
+    def _made(self, pairs: list[Pair], until: int) -> list[tuple[str, Chunk]]:
+        ports = {"out": np.zeros(0, HANDS), "bends": np.zeros((0, len(BENDS)))}
+        return looked_at(self.state.pairing, pairs, until, self._look, ports)
 
-    def _look(self, time: int, seen: Array, image: Image | None, out: Array) -> None:
+    def _look(self, time: int, seen: Array, image: Image | None) -> dict[str, Array]:
         """One frame, both hands."""
-        state = self.state
+        state, made = self.state, np.zeros(1, HANDS)
+        out = made[0]
         out["points"], out["pixels"], out["presence"] = np.nan, np.nan, np.nan
         since = (time - state.last) / NS if state.last else 0.0
         state.last = time
@@ -137,6 +128,7 @@ class Hands(Operator[HandsState]):
             elif time - state.seen[hand] > self.hold_s * NS:
                 share = 1.0 - math.exp(-since / self.relax_s)
                 state.bends[rows] += share * (RELAXED[rows] - state.bends[rows])
+        return {"out": made, "bends": state.bends[None].copy()}
 
     def _hand(self, hand: int, seen: Array, image: Image, out: Array) -> bool:
         """Whether this hand is seen; its landmarks into `out`."""

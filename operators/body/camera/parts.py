@@ -1,21 +1,27 @@
-"""A part of an image for a network, and what it finds there back in the image: shared by hands and face."""
+"""What hands and face share: images beside what is seen of the body, a part of an image for a network, and its finds back in the image."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import structlog
 
+from kinegraph.operators.body.names import SEEN
 from kinegraph.operators.body.network.crop import Image, Single, crop
 from kinegraph.operators.body.network.pairing import Pairing
 from kinegraph.operators.body.network.published import Published
-from kinegraph.stream.chunk import Array, Chunk, Samples
-from kinegraph.stream.errors import ParameterError
+from kinegraph.stream.chunk import Array, Chunk, Samples, Specs
+from kinegraph.stream.errors import InputError, ParameterError
 
 FIGURE = "figure"
 """The name of no network: made-up landmarks."""
+Pair: TypeAlias = "tuple[int, int, Array, Array | None]"
+"""Stamp, how many are lost before, what is seen, and the image of that time or None."""
+Look: TypeAlias = "Callable[[int, Array, Image | None], dict[str, Array]]"
+"""Looks at one frame: stamp, what is seen, image; returns one sample for each output."""
 _reported: set[str] = set()
 
 log = structlog.get_logger(__name__)
@@ -67,6 +73,28 @@ def model_of(network: Published, given: str, *, needed: bool) -> str:
         return ""
 
 
-def take_pairs(pairing: Pairing, port: str, chunk: Chunk) -> list[tuple[int, int, Array, Array | None]]:
-    """What of the two inputs `image` and `seen` is together now: (stamp, lost, seen, image or None)."""
+def pairing_of(specs: Specs) -> Pairing:
+    """What brings the inputs `image` and `seen` together. Raises InputError for other streams."""
+    image, seen = specs["image"], specs["seen"]
+    if image.dtype != np.uint8 or image.shape[2:] not in ((), (1,), (3,)):
+        raise InputError("image", image.describe(), "images (height, width) or (height, width, 3) uint8")
+    if seen.dtype != SEEN:
+        raise InputError("seen", seen.describe(), "what ImagePose or PoseNetwork gives")
+    return Pairing.within(0.02, image, seen)
+
+
+def take_pairs(pairing: Pairing, port: str, chunk: Chunk) -> list[Pair]:
+    """What of the two inputs is together now."""
     return pairing.take(pairing.images if port == "image" else pairing.depths, chunk)
+
+
+def looked_at(
+    pairing: Pairing, pairs: list[Pair], until: int, look: Look, ports: dict[str, Array]
+) -> list[tuple[str, Chunk]]:
+    """What `look` makes of each pair, in a chunk of its own: what is missing before it stays at its place. `ports`: no samples of each."""
+    limit, made = pairing.limit(until), list[tuple[str, Chunk]]()
+    for i, (time, lost, seen, image) in enumerate(pairs):
+        rows = look(time, seen, image)
+        end, times = pairs[i + 1][0] - 1 if i + 1 < len(pairs) else limit, np.array([time], np.int64)
+        made += [(port, Chunk(times, rows[port], end, lost)) for port in ports]
+    return made or [(port, Chunk(np.empty(0, np.int64), none, limit)) for port, none in ports.items()]
