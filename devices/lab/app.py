@@ -7,7 +7,6 @@ import json
 import re
 import secrets
 import shutil
-import socket
 import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import structlog
-import uvicorn
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -28,6 +26,7 @@ from starlette.websockets import WebSocket
 
 from kinegraph.devices.discovery.finders import finders, look
 from kinegraph.devices.lab import jobs
+from kinegraph.devices.lab.app_server import serve_app
 from kinegraph.devices.lab.forms import form_of, reports_of
 from kinegraph.devices.lab.guard import Guard
 from kinegraph.devices.lab.proxy import as_request, page_file, page_socket, say_to
@@ -37,12 +36,10 @@ from kinegraph.devices.lab.uses import PRESETS, USES, argument, graph_file, offe
 from kinegraph.devices.page.access import Access, is_loopback
 from kinegraph.devices.page.address import Address
 from kinegraph.devices.page.serving import REPORT_POLICY, built
-from kinegraph.stream.cli.commands.demo import show
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.graph.reading.load import rewritten
 from kinegraph.stream.graph.reading.yaml_lines import parse
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
-from kinegraph.stream.text.safe_text import say
 
 BUILT = {
     "/": ("lab.html", "text/html; charset=utf-8"),
@@ -64,6 +61,11 @@ EXPORTS = {
 """Formats that a lab exports to, and how their files end; "": a folder, which is packed."""
 CHECKED, REFERENCES = "checks", "references"
 """Folders of a lab: graphs as they were checked, and references for amplitudes."""
+CHECK_COMMANDS = {
+    "electrodes": ("emg", "check-electrodes"),
+    "contacts": ("emg", "check-contacts"),
+    "bed": ("sleep", "check"),
+}
 MAX_CHECKS = 4
 MOST_UPLOAD = 8 << 30
 
@@ -147,13 +149,12 @@ class Lab:
         return JSONResponse({"graph": f"{PRESETS}/{path.name}"})
 
     async def post_check(self, request: Request) -> Response:
-        """Begin a check: of the electrodes, or of the camera over the bed."""
+        """Begin a check: of the electrodes, of the foot contacts, or of the camera over the bed."""
         asked = await as_request(request)
-        kind = str(asked["kind"])
-        if kind not in ("electrodes", "bed"):
-            raise KinegraphError(f"there is no check {kind!r}")
+        command = CHECK_COMMANDS.get(str(asked["kind"]))
+        if command is None:
+            raise KinegraphError(f"there is no check {asked['kind']!r}")
         path = await self._checked_graph(asked)
-        command = ("emg", "check-electrodes") if kind == "electrodes" else ("sleep", "check")
         check, name = jobs.Check(), secrets.token_hex(8)
         simulate = ["--simulate"] if asked.get("simulate") else []
         task = asyncio.create_task(
@@ -482,36 +483,5 @@ def app_of(home: Path, access: Access) -> ASGIApp:
 
 async def serve(home: Path, address: Address, *, duration_s: float, browser: bool) -> None:
     """Serve a lab until Ctrl-C. Sessions go on."""
-    heard = listening(address)
-    port = heard.getsockname()[1]
-    app = app_of(home, Access(address.token, port, here=is_loopback(address.host)))
-    config = uvicorn.Config(
-        app, log_config=None, access_log=False, server_header=False, lifespan="off", ws="websockets-sansio", timeout_graceful_shutdown=1
-    )  # fmt: skip
-    server = uvicorn.Server(config)
-    say(f"lab: {address.url(port)} (Ctrl-C ends it; sessions go on)", err=True)
-    if browser:
-        show(address.url(port))
-    serving = asyncio.create_task(server.serve(sockets=[heard]))
-    with suppress(asyncio.TimeoutError):
-        await asyncio.wait_for(asyncio.shield(serving), duration_s or None)
-    server.should_exit = True
-    await serving
-
-
-def listening(address: Address) -> socket.socket:
-    """A socket at the address; at any free port where that one is taken."""
-    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
-    for port in (address.port, 0):
-        made = socket.socket(family, socket.SOCK_STREAM)
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            made.bind((address.host, port))
-            made.listen()
-        except OSError as error:
-            made.close()
-            if not port:
-                raise KinegraphError(f"the lab cannot be served at {address.host}: {error.strerror or error}") from None
-            continue
-        return made
-    raise KinegraphError("no port is free")
+    name, after = "lab", "sessions go on"
+    await serve_app(lambda access: app_of(home, access), name, after, address, duration_s=duration_s, browser=browser)

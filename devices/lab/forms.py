@@ -25,7 +25,12 @@ from kinegraph.stream.source import Source
 
 SUBJECT = "session.subject"
 MANUAL = "stream.manual."
-CHECKS = {"electrodes": ("operators.emg.",), "mvc": ("operators.emg.normalise.",), "bed": ("operators.bed.",)}
+CHECKS = {
+    "electrodes": ("operators.emg.",),
+    "contacts": ("operators.contacts.", "operators.cycles.cycles.", "operators.cycles.limb_cycles."),
+    "mvc": ("operators.emg.normalise.",),
+    "bed": ("operators.bed.",),
+}
 """Checks that are of use before a session, by what the graph holds."""
 SIMULATORS = "kinegraph.simulators"
 

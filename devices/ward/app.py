@@ -6,10 +6,8 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 from typing import Any
 
-import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -17,21 +15,19 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from kinegraph.devices.lab.app import listening
+from kinegraph.devices.lab.app_server import serve_app
 from kinegraph.devices.lab.guard import Guard
 from kinegraph.devices.lab.proxy import as_request, page_file, page_socket
 from kinegraph.devices.lab.sessions import FACTS as SESSION_FACTS
 from kinegraph.devices.lab.sessions import LabSession, Sessions
 from kinegraph.devices.nats.messages import FACTS, PREFIX
 from kinegraph.devices.nats.server import NAME
-from kinegraph.devices.page.access import Access, is_loopback
+from kinegraph.devices.page.access import Access
 from kinegraph.devices.page.address import Address
 from kinegraph.devices.page.serving import built
 from kinegraph.devices.ward.centre import Centre
-from kinegraph.stream.cli.commands.demo import show
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
-from kinegraph.stream.text.safe_text import say
 
 BUILT = {
     "/": ("ward.html", "text/html; charset=utf-8"),
@@ -146,22 +142,11 @@ def app_of(centre: Centre, access: Access) -> ASGIApp:
 
 async def serve(centre: Centre, address: Address, *, duration_s: float, browser: bool) -> None:
     """Serve the ward until Ctrl-C. Beds go on."""
-    listens = listening(address)
-    port = listens.getsockname()[1]
-    app = app_of(centre, Access(address.token, port, here=is_loopback(address.host)))
-    config = uvicorn.Config(
-        app, log_config=None, access_log=False, server_header=False, lifespan="off", ws="websockets-sansio", timeout_graceful_shutdown=1
-    )  # fmt: skip
-    server = uvicorn.Server(config)
-    say(f"ward: {address.url(port)} (Ctrl-C ends it; beds go on)", err=True)
-    if browser:
-        show(address.url(port))
-    serving = asyncio.create_task(server.serve(sockets=[listens]))
+    name, after = "ward", "beds go on"
     try:
-        with suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(asyncio.shield(serving), duration_s or None)
-        server.should_exit = True
-        await serving
+        await serve_app(
+            lambda access: app_of(centre, access), name, after, address, duration_s=duration_s, browser=browser
+        )
     finally:  # Ctrl-C raises here
         for session in Sessions(centre.home).all():
             session.stop()

@@ -25,6 +25,7 @@ PRINTING = (
     "devices",
     "emg sessions",
     "emg calibrate",
+    "emg check-contacts",
     "emg check-electrodes",
     "emg compare",
     "emg train-model",

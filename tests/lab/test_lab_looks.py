@@ -103,3 +103,15 @@ def test_electrodes_are_lights_with_a_reason_before_the_session(browser: LiveBro
         assert lights == ["good"] * 13
         click(browser, "Check the electrodes again")
         browser.wait("!document.querySelector('.lights')")
+
+
+def test_each_foots_contacts_are_a_light_before_the_session(browser: LiveBrowser, tmp_path: Path) -> None:
+    with lab(tmp_path / "home") as (_, url):
+        browser.open(url, 1280, 800)
+        click(browser, "Treadmill, both legs")
+        click(browser, "Check the foot contacts")
+        browser.wait("document.querySelectorAll('.lights li').length === 2")
+        lights = browser.value("[...document.querySelectorAll('.lights li')].map(l => [l.className, l.innerText])")
+        assert [light for light, _ in lights] == ["good", "good"], lights
+        assert "stance 6" in lights[0][1]
+        browser.picture(tmp_path / "lab-contacts.png")

@@ -17,7 +17,8 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from kinegraph.devices.lab.app import Lab, app_of, listening
+from kinegraph.devices.lab.app import Lab, app_of
+from kinegraph.devices.lab.app_server import listening
 from kinegraph.devices.lab.sessions import LabSession, Sessions
 from kinegraph.devices.page.access import Access
 from kinegraph.devices.page.address import Address
@@ -61,7 +62,7 @@ def lab(home: Path) -> Iterator[Client]:
     """A lab in a thread of this process; it is gone afterwards, sessions are not."""
     import uvicorn
 
-    heard = listening(Address(port=0))
+    heard = listening(Address(port=0), "lab")
     port = heard.getsockname()[1]
     config = uvicorn.Config(app_of(home, Access(TOKEN, port)), log_config=None, lifespan="off", ws="websockets-sansio")
     server = uvicorn.Server(config)

@@ -15,11 +15,13 @@ const [BEGINS, OVER] = [0.5, 0.25];
 const TRIES = 3;
 
 interface Electrode { name: string; rest: number; contraction: number; flag: string; reason: string; advice?: string }
+interface Foot { name: string; flag: string; reason: string; advice: string }
 interface Finding { well: boolean; text: string }
-interface Checked { status: string; code: number; found: { unit?: string; electrodes?: Electrode[]; findings?: Finding[]; problems?: string[] } }
+interface Checked { status: string; code: number; found: { unit?: string; electrodes?: Electrode[]; contacts?: Foot[]; findings?: Finding[]; problems?: string[] } }
 
 const TITLES: Record<string, [string, string]> = {
   electrodes: ["Check the electrodes", "5 s of rest, then 10 s in which every muscle is contracted in turn. Nothing is kept."],
+  contacts: ["Check the foot contacts", "15 s of walking, as in the session. Nothing is kept."],
   bed: ["Check the bed", "A minute out of bed, then a minute lying still in it. Nothing is stored."],
 };
 
@@ -43,7 +45,7 @@ export function Check({ kind, graph, values, simulate }: { kind: string; graph: 
   const runs = id !== "" && !error && (state === null || state.code < 0);
   const [title, what] = TITLES[kind] ?? [kind, ""];
   const status = state?.status.trim().split("\n").at(-1)?.replace(/^kinegraph: /, "") ?? "";
-  const electrodes = state?.found.electrodes ?? [];
+  const lights = [...(state?.found.electrodes ?? []), ...(state?.found.contacts ?? [])];
   const findings = [...(state?.found.findings ?? []), ...(state?.found.problems ?? []).map((text) => ({ well: false, text }))];
   return (
     <div class="check">
@@ -51,7 +53,7 @@ export function Check({ kind, graph, values, simulate }: { kind: string; graph: 
         <button type="button" disabled={runs} onClick={begin}>{state && !runs ? `${title} again` : title}</button>
         <output role="status" class={error ? "bad" : runs ? "prompt" : "quiet"}>{error || (runs ? status || "getting ready…" : state ? status : what)}</output>
       </div>
-      {electrodes.length ? <ul class="lights">{electrodes.map((one) => (
+      {lights.length ? <ul class="lights">{lights.map((one) => (
         <li key={one.name} class={one.flag}><i aria-hidden="true" /><strong>{one.name}</strong> <span>{one.reason ? `${one.flag}: ${one.reason}` : one.flag}</span>{one.advice ? <small>{one.advice}</small> : null}</li>
       ))}</ul> : null}
       {findings.length ? <ul class="lights">{findings.map((one) => <li key={one.text} class={one.well ? "good" : "bad"}><i aria-hidden="true" /><span>{one.text}</span></li>)}</ul> : null}

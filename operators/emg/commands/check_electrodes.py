@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from kinegraph.stream.graph import Graph
 
 Span = tuple[float, float]
+Stage = tuple[float, float, str]
+"""Begin and end in s from the first sample, and what is to be done."""
 REST_S, CONTRACTION_S = 5.0, 10.0
 
 
@@ -96,27 +98,32 @@ def _measure(
 
     from kinegraph.stream.cli.commands import logs
     from kinegraph.stream.cli.commands.run import simulated
-    from kinegraph.stream.engine.session import Session
     from kinegraph.stream.graph.reading.load import load
 
     logs.set_up()
     graph = load(config)
     for name in graph.outlets:
         del graph.nodes[name]
+    stages = sorted([(*quiet, "rest: no muscle works"), (*strong, "contract every muscle in turn, strongly")])
     with simulated(graph) if simulate else nullcontext():
         ohm = _impedances(graph) if impedance else []
-        session, over = Session(graph, folder), Event()
-        prompter = Thread(target=_prompt, args=(session, quiet, strong, over), name="prompts", daemon=True)
-        prompter.start()
-        try:
-            outcome = session.run()
-        finally:
-            over.set()
-    if outcome.exit_code:
-        raise KinegraphError(
-            f"the electrodes could not be measured: the session ended with exit code {outcome.exit_code}"
-        )
+        code = run_stages(graph, folder, stages)
+    if code:
+        raise KinegraphError(f"the electrodes could not be measured: the session ended with exit code {code}")
     return ohm
+
+
+def run_stages(graph: Graph, folder: File, stages: Sequence[Stage]) -> int:
+    """Run a graph as long as the stages last, and say what is to be done meanwhile; its exit code."""
+    from kinegraph.stream.engine.session import Session
+
+    session, over = Session(graph, folder), Event()
+    prompter = Thread(target=_prompt, args=(session, stages, over), name="prompts", daemon=True)
+    prompter.start()
+    try:
+        return session.run().exit_code
+    finally:
+        over.set()
 
 
 def _impedances(graph: Graph) -> list[Impedance]:
@@ -135,19 +142,17 @@ def _impedances(graph: Graph) -> list[Impedance]:
     return found
 
 
-def _prompt(session: Session, quiet: Span, strong: Span, over: Event) -> None:
+def _prompt(session: Session, stages: Sequence[Stage], over: Event) -> None:
     """Say what is to be done from the first sample on, and end the session after it."""
     while not session.turn.open:
         if over.wait(0.02):
             return
     begun = time.monotonic()
-    for (begin, end), what in sorted(
-        [(quiet, "rest: no muscle works"), (strong, "contract every muscle in turn, strongly")]
-    ):
+    for begin, end, what in stages:
         if over.wait(max(0.0, begin - (time.monotonic() - begun))):
             return
         say(f"now, for {end - begin:g} s: {what}", err=True)
-    if not over.wait(max(quiet[1], strong[1]) + 0.5 - (time.monotonic() - begun)):
+    if not over.wait(max(end for _, end, _ in stages) + 0.5 - (time.monotonic() - begun)):
         session.stop()
 
 
