@@ -20,7 +20,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from bench.motion import RATE, Series, features, kinect, poses, regular, segment
+from bench.motion import RATE, Series, features, in_picture, kinect, poses, regular, segment
 from bench.report import Section, marks, publish, whole
 from kinegraph.devices.people.exerciser import JOINTS
 from kinegraph.operators.features.stack import Stack
@@ -237,7 +237,7 @@ def video(seed: int) -> Item:
     spikes = rng.random(joints.shape[:2]) < 0.003
     joints[spikes] += rng.normal(0.0, 0.15, (int(spikes.sum()), 3))
     stamps = np.round(np.arange(len(joints)) / RATE * NS).astype(np.int64)
-    made = features(Series(StreamSpec((len(JOINTS), 3), channels=JOINTS, units=("m",)), stamps, joints))
+    made = in_picture(Series(StreamSpec((len(JOINTS), 3), channels=JOINTS, units=("m",)), stamps, joints))
     return Item(
         "sim, videos",
         f"{name} {seed}",

@@ -12,7 +12,9 @@ from kinegraph.devices.people.exerciser import JOINTS, Exerciser, Routine
 from kinegraph.operators.features.mirror import Mirror
 from kinegraph.operators.features.pose import Pose
 from kinegraph.operators.features.stack import Stack
+from kinegraph.operators.filters.channels import Select
 from kinegraph.operators.filters.gaps import FillGaps
+from kinegraph.operators.filters.iir import Lowpass
 from kinegraph.operators.segmentation import Segment
 from kinegraph.operators.segmentation.evaluation.found import Found, merged, second_steps
 from kinegraph.operators.segmentation.evaluation.truth import Truth, read_truth
@@ -132,6 +134,14 @@ def features(joints: Series, *, fills: bool = True) -> Series:
     if fills:
         joints = joints.through(FillGaps(limit_s=0.2))
     return joints.through(Pose(), Align(rate_hz=RATE, max_distance_s=0.2), Stack())
+
+
+def in_picture(joints: Series) -> Series:
+    """What the nodes of count_video and count_landmarks make of joints."""
+    body = joints.through(FillGaps(limit_s=0.2), Pose(points="e30", heading=False))
+    plane = tuple(name for name in body.spec.channels if not name.endswith(".z"))
+    even = body.through(Select(channels=plane), Align(rate_hz=RATE, max_distance_s=0.2))
+    return even.through(Lowpass(cutoff_hz=3, order=2, start="first"), Stack())
 
 
 def kinect(path: Path) -> Series:

@@ -98,7 +98,9 @@ ClaimPolicy: TypeAlias = Annotated[
         help="of a stream that is not as its file claims: warn of it, refuse the file, or use the measured rate"
     ),
 ]
-KinectColumns: TypeAlias = Annotated[bool, typer.Option(help="CSV: x, y and z of a skeleton's joints, as points")]
+KinectColumns: TypeAlias = Annotated[
+    bool, typer.Option(help="CSV: x, y and z of a skeleton's joints, as points; NPY: 33 landmarks of a video's frames")
+]
 ClockSync: TypeAlias = Annotated[bool, typer.Option(help="XDF: apply the clock offsets that were measured")]
 UntriedFormats: TypeAlias = Annotated[
     bool, typer.Option("--untried", help="also read formats of which no real file was at hand to try: MVNX")

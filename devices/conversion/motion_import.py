@@ -14,6 +14,7 @@ from kinegraph.devices.formats.bvh.reader import read_bvh
 from kinegraph.devices.formats.c3d.reader import read_c3d
 from kinegraph.devices.formats.column_table import ImportOptions, positive
 from kinegraph.devices.formats.table.kinect import read_kinect
+from kinegraph.devices.formats.table.landmarks import read_landmark_array
 from kinegraph.stream.data.bounded import reading
 from kinegraph.stream.errors import RecordingError, nearest
 from kinegraph.stream.recording.series import Series
@@ -143,6 +144,8 @@ def _of_kind(file: Path, skeletons: dict[str, Skeleton], options: ImportOptions)
     rate = positive(rate_text or str(RATE_HZ), f"--rate {file.stem}")
     if kind == ".amc":
         return read_amc(file, _skeleton_of(file, skeletons), rate, options.start_ns)
+    if kind == ".npy":
+        return read_landmark_array(file, rate if rate_text else None, options.start_ns)
     return read_kinect(file, unit, scale, options.start_ns, rate if rate_text else None)
 
 

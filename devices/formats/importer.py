@@ -109,7 +109,7 @@ def _suffixes(kinect: bool) -> dict[str, Importer]:
     by_suffix = {suffix: one for one in every for suffix in one.suffixes}
     if kinect:
         by_suffix |= dict.fromkeys(importers()["table"].suffixes, importers()["motion"])
-        by_suffix[".npz"] = importers()["table"]
+        by_suffix |= {".npz": importers()["table"], ".npy": importers()["motion"]}
     return by_suffix
 
 

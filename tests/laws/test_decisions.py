@@ -56,6 +56,8 @@ ALIKE = {
     "segment_imu": "segment_mocap",
     "count_repetitions": "segment_mocap",
     "count_depth": "segment_mocap",
+    "count_video": "segment_mocap",
+    "count_landmarks": "segment_mocap",
     "dualsense": "segment_mocap",
 }
 """Graphs that need a device at its own pace: every operator of theirs that gives events is in another one."""

@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfilt, sosfiltfilt, welch
 import kinegraph as kg
 from kinegraph.devices.people.bedroom import Bedroom, Extras, prepare
 from kinegraph.devices.people.night import NightPlan, plan
-from kinegraph.devices.people.rendered_performer import RenderedPerformer
+from kinegraph.devices.people.rendered_performer import POINTS, RenderedPerformer
 from kinegraph.stream.chunk import NS, Array
 from kinegraph.stream.recording.series import write_recording
 from tests.support.real import real_arrays
@@ -185,3 +185,11 @@ def no_images(graph: kg.Graph, edge: str) -> kg.Series:
     """A camera without any grey image: what remains is depth."""
     spec = graph.specs[edge]
     return kg.Series("", spec, np.empty(0, np.int64), np.empty((0, *spec.shape), spec.dtype))
+
+
+def period_s(joints: np.ndarray) -> float:
+    """The lag of 0.5 to 4.5 s at which the wrists' and ankles' heights are most like themselves."""
+    chosen = [k for k, name in enumerate(POINTS) if name.endswith(("wrist", "ankle"))]
+    y = joints[:, chosen, 1] - joints[:, chosen, 1].mean(axis=0)
+    lags = np.arange(round(0.5 * CAMERA_HZ), round(4.5 * CAMERA_HZ))
+    return float(lags[np.argmax([(y[k:] * y[:-k]).sum() / (len(y) - k) for k in lags])] / CAMERA_HZ)

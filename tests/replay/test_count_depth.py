@@ -11,17 +11,8 @@ import numpy as np
 import pytest
 
 import kinegraph as kg
-from kinegraph.devices.people.rendered_performer import POINTS
 from kinegraph.stream.chunk import NS
-from tests.replay.replaying import CAMERA_HZ, no_images, performance, signal
-
-
-def period_s(joints: np.ndarray) -> float:
-    """The lag of 0.5 to 4.5 s at which the wrists' and ankles' heights are most like themselves."""
-    chosen = [k for k, name in enumerate(POINTS) if name.endswith(("wrist", "ankle"))]
-    y = joints[:, chosen, 1] - joints[:, chosen, 1].mean(axis=0)
-    lags = np.arange(round(0.5 * CAMERA_HZ), round(4.5 * CAMERA_HZ))
-    return float(lags[np.argmax([(y[k:] * y[:-k]).sum() / (len(y) - k) for k in lags])] / CAMERA_HZ)
+from tests.replay.replaying import CAMERA_HZ, no_images, performance, period_s, signal
 
 
 def test_the_graph_opens_with_a_cameras_frames() -> None:

@@ -1,4 +1,4 @@
-"""Tables of 33 body landmarks found in videos (BlazePose), as RepCount-pose has them: the name of a frame, then x, y and z of each.
+"""33 body landmarks found in a video (BlazePose), as RepCount-pose has them: tables of a frame's name, then x, y, z of each; or an array.
 
 Written from public descriptions of the format and tried on imitations of it only. Coordinates are those of the picture, in pixels or
 shares of its size: x to the right, y down, z away from the camera.
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kinegraph.devices.formats.timing import grid_of
-from kinegraph.stream.chunk import Samples, StreamSpec
+from kinegraph.stream.chunk import Samples, StreamSpec, Times
 from kinegraph.stream.data.tables import read_text
 from kinegraph.stream.domain.axes import FACED
 from kinegraph.stream.errors import RecordingError
@@ -53,9 +53,25 @@ def read_landmarks(path: Path, rate_hz: float | None = None, start_ns: int = 0) 
             raise RecordingError(f"{path}: line {number}: a name and 99 numbers are needed, x, y and z of 33 landmarks")
         name = FRAME.fullmatch(cells[0].strip())
         found.append((name[1] if name else "", int(name[2]) if name else len(found), values))
-    return [
-        _video(path, name, list(frames), rate_hz, start_ns) for name, frames in groupby(found, key=lambda row: row[0])
-    ]
+    made = []
+    for name, group in groupby(found, key=lambda row: row[0]):
+        frames = list(group)
+        data, numbers = np.array([values for _, _, values in frames]), np.array([n for _, n, _ in frames], np.int64)
+        made.append(_video(path, name, data, numbers, rate_hz, start_ns))
+    return made
+
+
+def read_landmark_array(path: Path, rate_hz: float | None = None, start_ns: int = 0) -> list[Series]:
+    """The same of an .npy file that holds all frames of one video: (frames, 33, 3) or (frames, 99). Raises RecordingError."""
+    data = np.load(path, mmap_mode="r", allow_pickle=False)
+    if (
+        data.dtype.kind not in "fiu"
+        or not data.size
+        or data.shape[1:] not in ((len(LANDMARKS), 3), (3 * len(LANDMARKS),))
+    ):
+        raise RecordingError(f"{path}: {data.dtype} {data.shape}; frames of 33 landmarks with x, y and z are needed")
+    values = np.array(data, np.float64).reshape(-1, len(LANDMARKS), 3)
+    return [_video(path, "", values, np.arange(len(values)), rate_hz, start_ns)]
 
 
 def _words(cell: str) -> bool:
@@ -73,14 +89,10 @@ def _numbers(cells: list[str]) -> Samples | None:
         return None
 
 
-def _video(
-    path: Path, name: str, frames: list[tuple[str, int, Samples]], rate_hz: float | None, start_ns: int
-) -> Series:
-    data = np.array([values for _, _, values in frames])
+def _video(path: Path, name: str, data: Samples, numbers: Times, rate_hz: float | None, start_ns: int) -> Series:
     data[(data == 0.0).all(axis=2) | ~np.isfinite(data).all(axis=2)] = np.nan
-    numbers = np.array([number for _, number, _ in frames], np.int64)
     if (np.diff(numbers) <= 0).any():
-        numbers = np.arange(len(frames))
+        numbers = np.arange(len(data))
     shoulders, hips = (
         data[:, [LANDMARKS.index(f"{side}_{part}") for side in ("left", "right")]].mean(1)
         for part in ("shoulder", "hip")
