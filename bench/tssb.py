@@ -1,6 +1,6 @@
 """`python -m bench.tssb`: the segmentation on series of shapes in a row (Time Series Segmentation Benchmark); Markdown.
 
-Given is what the benchmark gives: the window's length, which is made a second of 20 frames; a frame is one window around it, in seven steps.
+Given is what the benchmark gives: the window, made a second of 20 frames; a frame is one window around it, in seven steps.
 All else is the operator's defaults. Beside it: no cut at all, and whether the operator itself is sure that something repeats, to see
 whether that tells where its cuts are good. `--write` puts the table into docs/lab/segmentation-figures.md.
 """
