@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import random
 import tempfile
 import threading
@@ -53,8 +54,18 @@ def epochs(first: int, n: int, step_ns: int) -> Chunk:
 class Bed:
     """A bed's outlet as a session drives it: checkpoints, crashes, and what follows the checkpoint once more, cut otherwise."""
 
-    def __init__(self, name: str, server: LocalServer, folder: Path, step_ns: int, **given: Any) -> None:
+    def __init__(
+        self,
+        name: str,
+        server: LocalServer,
+        folder: Path,
+        step_ns: int,
+        *,
+        frame: StreamSpec | None = None,
+        **given: Any,
+    ) -> None:
         self.name, self.server, self.folder, self.step_ns, self.given = name, server, folder, step_ns, given
+        self.specs = {"x": EPOCH} | ({"depth": frame} if frame else {})
         self.offered = 0
         self.dropped = 0
         self._at = 0
@@ -65,7 +76,7 @@ class Bed:
 
     def _made(self) -> StreamOutlet:
         made = StreamOutlet(bed=self.name, server=NatsServer(self.server.url), spool=str(self.folder), **self.given)
-        made.open({"x": EPOCH})
+        made.open(dict(self.specs))
         made.runtime.now = time.time_ns
         return made
 
@@ -184,26 +195,30 @@ class Centre:
         (folder / "x.json").write_text(spec_text(EPOCH))
         self.feeds = {bed: Feed() for bed in beds}
         self._threads: list[threading.Thread] = []
+        self._depth: dict[str, Frames] = {}
 
-    def start(self) -> None:
+    def start(self, depth: dict[str, Frames] | None = None) -> None:
+        self._depth = depth or {}
         self._threads = [
-            threading.Thread(target=self._read, args=(bed, feed), daemon=True) for bed, feed in self.feeds.items()
+            threading.Thread(target=self._read, args=(bed, feed, stream), daemon=True)
+            for stream, feeds in (("x", self.feeds), ("depth", self._depth))
+            for bed, feed in feeds.items()
         ]
         for thread in self._threads:
             thread.start()
 
-    def _read(self, bed: str, feed: Feed) -> None:
+    def _read(self, bed: str, feed: Feed, stream: str) -> None:
         StreamInlet(
             bed=bed,
-            stream="x",
+            stream=stream,
             server=NatsServer(self.server.url),
-            spec=str(self.folder / "x.json"),
+            spec=str(self.folder / f"{stream}.json"),
             start="all",
             position=str(self.folder),
         ).read(feed)
 
     def stop(self) -> None:
-        for feed in self.feeds.values():
+        for feed in (*self.feeds.values(), *self._depth.values()):
             feed.stop()
         for thread in self._threads:
             thread.join()
@@ -297,7 +312,7 @@ def ledger(
             if k in due:
                 kind = kinds.pop()
                 found.faults[kind] += 1
-                fault(kind, server, link, ward, centre, rng, each)
+                fault(kind, server, link, ward, centre, rng, outage(rng, seconds / rounds, step_s))
             for bed in ward:
                 bed.feed(each)
                 if rng.random() < 0.3:
@@ -317,10 +332,15 @@ def ledger(
     return found
 
 
+def outage(rng: random.Random, round_s: float, step_s: float) -> int:
+    """For how many events an outage lasts: 1 s to four rounds, an hour at most; short ones are as frequent as long ones."""
+    return max(1, round(min(3600.0, 4 * round_s) ** rng.random() / step_s))
+
+
 def fault(
-    kind: str, server: LocalServer, link: Link, ward: list[Bed], centre: Centre, rng: random.Random, each: int
+    kind: str, server: LocalServer, link: Link, ward: list[Bed], centre: Centre, rng: random.Random, events: int
 ) -> None:
-    """One fault, during which the beds go on."""
+    """One fault, during which the beds go on with so many events."""
     some = rng.sample(ward, max(1, len(ward) // 4))
 
     def go_on(times: int) -> None:
@@ -338,18 +358,18 @@ def fault(
             bed.repeat(rng)
     elif kind in ("server", "disk"):
         server.kill()
-        go_on(each)
+        go_on(events)
         if kind == "disk":
             server.lose_disk()
         server.start()
     elif kind == "partition":
         server.pause()
-        go_on(each)
+        go_on(events)
         time.sleep(rng.uniform(0.1, 0.5))
         server.resume()
     elif kind == "refusing":  # as a full disk: the server takes no more
         limit(link, 1)
-        go_on(each)
+        go_on(events)
         time.sleep(0.3)
         limit(link, -1)
 
@@ -402,59 +422,108 @@ def quick() -> Iterator[None]:
 # how long an event takes, what a bed costs ----------------------------------------------------------------------------
 
 
-def latency(beds: int, seconds: float, folder: Path) -> dict[str, float]:
-    """Events at one a second and bed, in real time: p50 and p99 (s) from the outlet to the centre's input, and what the centre costs."""
+def latency(
+    beds: int, seconds: float, folder: Path, *, depth: int = 0, frame: StreamSpec | None = None
+) -> dict[str, float]:
+    """Events at one a second and bed, in real time, of which `depth` beds also send 2 frames a second: p50 and p99 (s) from the outlet to
+    the centre's input and to the page, and what the centre costs. Beds are a process of their own, as the server is."""
     server = LocalServer(folder / "server", free_port()).start()
     took: list[float] = []
+    n, frame = round(seconds), frame or BLOCKS
     with quick(), linked(server) as link:
         link.call(make_streams(link))
         names = [f"bed{k}" for k in range(beds)]
-        ward = [Bed(name, server, folder / "spool", NS) for name in names]
-        sent: dict[tuple[str, int], float] = {}
+        context = multiprocessing.get_context("spawn")
+        sent = context.RawArray("d", beds * n)
+        there = context.Process(
+            target=_beds_in_real_time, args=(server.port, folder, beds, depth, frame.to_json(), n, sent)
+        )
         centre = Centre(server, folder / "centre", names)
-        for name, feed in centre.feeds.items():
-            feed.arrived = _timed(name, sent, took)
-        centre.start()
-        shown = Shown(server, folder, sent)
-        time.sleep(1.0)
-        me, there = psutil.Process(), psutil.Process(server._process.pid if server._process else 0)
-        cpu, cpu_server = sum(me.cpu_times()[:2]), sum(there.cpu_times()[:2])
-        began = time.monotonic()
-        for k in range(round(seconds)):
-            for j, bed in enumerate(ward):
-                due = began + k + j / beds
-                time.sleep(max(0.0, due - time.monotonic()))
-                sent[bed.name, bed.offered] = time.monotonic()
-                bed.feed(1)
-        time.sleep(2.0)
+        (folder / "centre" / "depth.json").write_text(spec_text(frame))
+        frames = [Frames() for _ in range(depth)]
+        for k, feed in enumerate(centre.feeds.values()):
+            feed.arrived = _timed(k * n, sent, took)
+        centre.start(dict(zip(names, frames, strict=False)))
+        shown = Shown(server, folder, {name: k * n for k, name in enumerate(names)}, sent)
+        there.start()
+        while not sent[0]:
+            time.sleep(0.05)
+        processes = [
+            psutil.Process(),
+            psutil.Process(there.pid),
+            psutil.Process(server._process.pid if server._process else 0),
+        ]
+        cpu, began = [sum(one.cpu_times()[:2]) for one in processes], time.monotonic()
+        time.sleep(seconds)
         lasted = time.monotonic() - began
-        cpu, cpu_server = sum(me.cpu_times()[:2]) - cpu, sum(there.cpu_times()[:2]) - cpu_server
+        cpu = [100 * (sum(one.cpu_times()[:2]) - before) / lasted for one, before in zip(processes, cpu, strict=True)]
+        there.join()
+        time.sleep(2.0)
         centre.stop()
         shown.stop()
-        for bed in ward:
-            bed.outlet.close()
     server.stop()
-    page_p50, page_p99 = np.percentile(shown.took, [50, 99]) if shown.took else (np.nan, np.nan)
-    p50, p99 = np.percentile(took, [50, 99]) if took else (np.nan, np.nan)
+    page = np.percentile(shown.took, [50, 99]) if shown.took else (np.nan, np.nan)
+    centres = np.percentile(took, [50, 99]) if took else (np.nan, np.nan)
     return {
         "beds": beds,
-        "events": len(took),
-        "missing": beds * round(seconds) - len(took),
-        "p50_s": float(p50),
-        "p99_s": float(p99),
-        "page_p50_s": float(page_p50),
-        "page_p99_s": float(page_p99),
-        "cpu_percent_of_a_core": 100 * cpu / lasted,
-        "server_percent": 100 * cpu_server / lasted,
+        "with_depth": depth,
+        "missing": beds * n - len(took),
+        "missing_frames": depth * 2 * n - sum(one.count for one in frames),
+        **{name: round(float(value), 2) for name, value in zip(("p50_s", "p99_s"), centres, strict=True)},
+        **{name: round(float(value), 2) for name, value in zip(("page_p50_s", "page_p99_s"), page, strict=True)},
+        **{
+            f"cpu_percent_{name}": round(value, 1)
+            for name, value in zip(("centre", "beds", "server"), cpu, strict=True)
+        },
     }
+
+
+BLOCKS = StreamSpec((50, 80), rate_hz=2.0, units=("mm",))
+"""Depth of 640 x 400 as blocks of 8 x 8 pixels: what is simplified."""
+SIMPLIFIED = StreamSpec((400, 640), dtype=np.dtype("<u2"), rate_hz=2.0, units=("mm",))
+"""The same as a picture with all its pixels."""
+
+
+def _beds_in_real_time(
+    port: int, folder: Path, beds: int, depth: int, frame: dict[str, Any], n: int, sent: Any
+) -> None:
+    """Beds as one process: an event a second each, at times spread over the second; two frames a second of the first `depth`."""
+    server, spec = LocalServer(folder / "server", port), StreamSpec.from_json(frame)
+    levels = np.random.default_rng(1).normal(2000, 300, (50, 80))
+    picture = np.kron(levels, np.ones((spec.shape[0] // 50, spec.shape[1] // 80))).astype(spec.dtype)
+    with quick():
+        ward = [Bed(f"bed{k}", server, folder / "spool", NS, frame=spec if k < depth else None) for k in range(beds)]
+        began = time.monotonic() + 1.0
+        for k in range(n):
+            for j, bed in enumerate(ward):
+                time.sleep(max(0.0, began + k + j / beds - time.monotonic()))
+                sent[j * n + k] = time.monotonic()
+                bed.feed(1)
+                if j < depth:
+                    time_ns = START + (2 * k + np.arange(2)) * NS // 2
+                    bed.outlet.process("depth", Chunk(time_ns, np.stack([picture, picture]), int(time_ns[-1])))
+        for bed in ward:
+            bed.outlet.close()
+
+
+@dataclass
+class Frames(Feed):
+    """The centre's side of a bed's depth."""
+
+    count: int = 0
+
+    def emit(self, chunk: Chunk, output: str = "out") -> None:
+        if output == "out" and not self._stop.is_set():
+            self.count += len(chunk)
+            self.ends.append((self.count, chunk.until))
 
 
 class Shown(threading.Thread):
     """What the ward's page is given every half second, as a browser asks for it; `took`: from the event until it is there."""
 
-    def __init__(self, server: LocalServer, folder: Path, sent: dict[tuple[str, int], float]) -> None:
+    def __init__(self, server: LocalServer, folder: Path, first: dict[str, int], sent: Any) -> None:
         super().__init__(daemon=True)
-        self._ward, self._sent = WardCentre(folder / "ward", NatsServer(server.url)), sent
+        self._ward, self._first, self._sent = WardCentre(folder / "ward", NatsServer(server.url)), first, sent
         self._known: dict[str, int] = {}
         self._over = threading.Event()
         self.took: list[float] = []
@@ -468,7 +537,7 @@ class Shown(threading.Thread):
             for row in rows:
                 newest = row["streams"].get("x", {}).get("row", {}).get("number", -1)
                 for number in range(self._known.get(row["bed"], -1) + 1, newest + 1):
-                    self.took.append(now - self._sent[row["bed"], number])
+                    self.took.append(now - self._sent[self._first[row["bed"]] + number])
                 self._known[row["bed"]] = newest
 
     def stop(self) -> None:
@@ -477,10 +546,10 @@ class Shown(threading.Thread):
         self._ward.stop()
 
 
-def _timed(name: str, sent: dict[tuple[str, int], float], took: list[float]) -> Callable[[Chunk], None]:
+def _timed(first: int, sent: Any, took: list[float]) -> Callable[[Chunk], None]:
     def arrived(chunk: Chunk) -> None:
         now = time.monotonic()
-        took.extend(now - sent[name, n] for n in chunk.data["number"].tolist())
+        took.extend(now - sent[first + n] for n in chunk.data["number"].tolist())
 
     return arrived
 
@@ -490,19 +559,32 @@ def main() -> None:
     parser.add_argument("--beds", type=int, default=20)
     parser.add_argument("--hours", type=float, default=0.0)
     parser.add_argument("--latency", type=int, nargs="*", default=[20, 60, 120])
+    parser.add_argument("--seconds", type=float, default=20.0, help="of latency")
+    parser.add_argument("--depth", type=int, default=0, help="so many of the beds also send 2 frames a second")
+    parser.add_argument("--pictures", action="store_true", help="frames of 640 x 400 pixels rather than 80 x 50 blocks")
+    parser.add_argument("--no-ledger", action="store_true")
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        began = time.monotonic()
-        if asked.hours:
-            found = ledger(asked.beds, asked.hours * 3600, Path(folder), rounds=96, faults=48, step_s=30.0)
-        else:
-            found = ledger(asked.beds, 120.0, Path(folder))
-        print(f"{asked.beds} beds, {time.monotonic() - began:.0f} s: {found}")
-        assert found.balances
+    if not asked.no_ledger:
+        with tempfile.TemporaryDirectory() as folder:
+            began = time.monotonic()
+            if asked.hours:
+                found = ledger(asked.beds, asked.hours * 3600, Path(folder), rounds=96, faults=48, step_s=30.0)
+            else:
+                found = ledger(asked.beds, 120.0, Path(folder))
+            print(f"{asked.beds} beds, {time.monotonic() - began:.0f} s: {found}")
+            assert found.balances
     if not asked.hours:
         for beds in asked.latency:
             with tempfile.TemporaryDirectory() as folder:
-                print(latency(beds, 20.0, Path(folder)))
+                print(
+                    latency(
+                        beds,
+                        asked.seconds,
+                        Path(folder),
+                        depth=min(asked.depth, beds),
+                        frame=SIMPLIFIED if asked.pictures else None,
+                    )
+                )
 
 
 if __name__ == "__main__":

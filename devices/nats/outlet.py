@@ -27,6 +27,7 @@ from kinegraph.devices.nats.messages import (
     spec_text,
     subject,
 )
+from kinegraph.devices.nats.panels import panels_sent
 from kinegraph.devices.nats.sender import MessageSender
 from kinegraph.devices.nats.server import NatsServer, account_of, check_bed
 from kinegraph.devices.nats.spool import Spool
@@ -85,6 +86,7 @@ class StreamOutletRuntime:
         self.link: links.Link | None = None
         self.sender: MessageSender | None = None
         self.facts: dict[str, Any] = {}
+        self.panels: list[dict[str, Any]] = []
         self.bed = self.folder = ""
         self.reported_s = self.looked_s = 0.0
         self.began_s = time.monotonic()
@@ -102,8 +104,9 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
     `spool`, which survives the process and is bounded by `spool_mb`: what is older is dropped, counted, and a gap at the other end.
     After a crash `--resume` sends what was not sent. Nothing waits for the network.
 
-    It also reports every 5 s, and at each event, how the bed is: what `kinegraph ward` shows. No fact of the session leaves the bed but
-    those that `identifiers` names, as it names them: {subject: S07}; text fields of events with these names are replaced, too.
+    It also reports every 5 s, and at each event, how the bed is: what `kinegraph ward` shows, with this graph's panels. No fact of the
+    session leaves the bed but those that `identifiers` names, as it names them: {subject: S07}; text fields of events with these names are
+    replaced, too.
     """
 
     inputs = {ANY: Input()}
@@ -163,6 +166,8 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
             "recording": Path(graph.recorded_in).name if graph.recorded_in else "",
             "session": {name: text for name, text in (self.identifiers or {}).items() if name in graph.session},
         }
+        if self.bed or self.account:
+            self.runtime.panels = panels_sent(graph, self, self.runtime.specs)
 
     def begin(self) -> None:
         runtime, state = self.runtime, self.state
@@ -186,6 +191,7 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
             subject(runtime.bed, "facts", f"spec.{port}"): spec_text(spec).encode()
             for port, spec in runtime.specs.items()
         }
+        facts[subject(runtime.bed, "facts", "panels")] = dump(runtime.panels)
         runtime.sender = MessageSender(runtime.link, spool, facts, self._due, self._report)
         runtime.sender.saved = runtime.saved
         runtime.sender.start()

@@ -2,7 +2,7 @@
 
 Everything it needs is in its folder, so that a bed goes on without the centre, and after a power cut:
 
-agent.json      which graph runs, which ran before, the last order
+agent.json      which graph runs, what was before the last order (a graph, or a version), the last order
 graph-*.yaml    graphs, by digest
 session*        recordings
 """
@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,6 @@ from kinegraph.devices.nats.server import NatsServer
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.recording.format.checkpoint import NAME as CHECKPOINT
 from kinegraph.stream.recording.format.paths import parts_of
-from kinegraph.stream.recording.format.versions import release
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
 from kinegraph.stream.text.time_text import for_names
 
@@ -44,6 +44,11 @@ STOP_S = 60.0
 KEPT = "agent.json"
 
 log = structlog.get_logger(__name__)
+
+
+def installed() -> str:
+    """The version of kinegraph that the next start runs; not that of this process, which may have had another installed."""
+    return installed_version("kinegraph")
 
 
 class Agent:
@@ -62,7 +67,7 @@ class Agent:
         """`install` installs a version; its number is appended. Without it versions are refused."""
         self.bed, self.home, self._command, self._install, self._watch_s = bed, home, command, install, watch_s
         private_folder(home)
-        self.kept: dict[str, Any] = {"graph": "", "before": "", "order": {}}
+        self.kept: dict[str, Any] = {"graph": "", "before": "", "version_before": "", "order": {}}
         with suppress(OSError, ValueError):
             self.kept |= json.loads((home / KEPT).read_text(encoding="utf-8"))
         self._child: subprocess.Popen[bytes] | None = None
@@ -196,13 +201,13 @@ class Agent:
         if not self._install or not version or set(version) - set("0123456789.abrcdevpost+"):
             self._keep(order={"id": id, "state": "refused", "text": "this bed installs no versions"})
             return
+        before = installed()
         done = subprocess.run([*self._install, version], capture_output=True, text=True, check=False)
         if done.returncode:
             self._keep(order={"id": id, "state": "refused", "text": done.stderr.strip()[-200:]})
             return
-        self._end_child()
-        self._started_s = -1e9
-        self._keep(order={"id": id, "state": "watched", "text": "", "version": version, "before": release()})
+        self._keep(version_before=before, order={"id": id, "state": "watched", "text": "", "version": version})
+        self._again()
 
     def _checked(self, name: str) -> str:
         """Why a graph cannot be run; "" where it can. Only what is installed is run: an order brings no code."""
@@ -218,15 +223,23 @@ class Agent:
         self._end_child()
         if parts_of(self.home / "session"):
             (self.home / "session").rename(self.home / f"session-{for_names()}-{order['id'][:6]}")
-        self._keep(graph=name, before=self.kept["graph"], order=order)
+        self._keep(graph=name, before=self.kept["graph"], version_before="", order=order)
+        self._start()
+
+    def _again(self) -> None:
+        """The same graph, as what is installed now runs it."""
+        self._end_child()
         self._start()
 
     def _back(self, why: str) -> None:
-        """To the graph before."""
-        order, before = self.kept["order"], self.kept["before"]
-        if order.get("before") and self._install:
-            subprocess.run([*self._install, order["before"]], capture_output=True, check=False)
-        if before:
+        """To what was before the last order: a version, where that was one, or a graph."""
+        order, before, version = self.kept["order"], self.kept["before"], self.kept["version_before"]
+        if version:
+            done = subprocess.run([*self._install, version], capture_output=True, text=True, check=False)
+            text = f"{why}; {version} cannot be installed: {done.stderr.strip()[-200:]}" if done.returncode else why
+            self._keep(version_before="", order={**order, "state": "rolled back", "text": text})
+            self._again()
+        elif before:
             self._change(before, {**order, "state": "rolled back", "text": why})
         else:
             self._keep(order={**order, "state": "rolled back", "text": f"{why}; there is no graph before"})
@@ -248,7 +261,7 @@ class Agent:
             "running": self.running,
             "failed": self._failed,
             "restarts": self.restarts,
-            "version": release(),
+            "version": installed(),
             "digest": self.kept["graph"].removeprefix("graph-").removesuffix(".yaml"),
             "free_bytes": shutil.disk_usage(self.home).free,
             "order": self.kept["order"],

@@ -1,4 +1,9 @@
-"""Alarms: raised once, passed on once to each receiver, kept until somebody acknowledges them (SQLite)."""
+"""Alarms: raised once, passed on to each receiver, kept until somebody acknowledges them (SQLite).
+
+What a receiver can rely on: one trouble has one id as long as it lasts, also when the ward is started again. `attempt` is 1 the first time
+an alarm is sent to a receiver. A higher one may have arrived before: the ward or the connection may have ended between the receiver's
+answer and the note of it. Who keeps the ids acts once.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +25,10 @@ TABLES = (
     "CREATE TABLE IF NOT EXISTS alarm (id TEXT PRIMARY KEY, bed TEXT, kind TEXT, level TEXT, text TEXT, raised REAL, over REAL, "
     "acknowledged REAL, by TEXT)",
     "CREATE TABLE IF NOT EXISTS passed (alarm TEXT, receiver TEXT, PRIMARY KEY (alarm, receiver))",
+    "CREATE TABLE IF NOT EXISTS tried (alarm TEXT, receiver TEXT, times INTEGER, PRIMARY KEY (alarm, receiver))",
 )
 RAISING = ("alarm", "attention")
+SENT = ("id", "attempt", "bed", "kind", "level", "text", "raised", "over", "acknowledged")
 POST_S = 5.0
 MAX_SHOWN = 200
 
@@ -65,8 +72,8 @@ class AlarmBook:
             return done.rowcount > 0
 
     def open(self) -> list[dict[str, Any]]:
-        """Alarms that are not acknowledged, the newest first."""
-        return self._rows("WHERE acknowledged IS NULL ORDER BY raised DESC LIMIT ?", MAX_SHOWN)
+        """Alarms that are not acknowledged, the gravest and newest first."""
+        return self._rows("WHERE acknowledged IS NULL ORDER BY level != 'alarm', raised DESC LIMIT ?", MAX_SHOWN)
 
     def due(self, receiver: str) -> list[dict[str, Any]]:
         """What a receiver has not got yet, in order."""
@@ -75,6 +82,12 @@ class AlarmBook:
             receiver,
             MAX_SHOWN,
         )
+
+    def attempt(self, id: str, receiver: str) -> int:
+        """It is about to be sent: for the how many-th time. On the disk before it leaves."""
+        count = "INSERT INTO tried VALUES (?, ?, 1) ON CONFLICT DO UPDATE SET times = times + 1 RETURNING times"
+        with self._lock:
+            return int(self._base.execute(count, (id, receiver)).fetchone()[0])
 
     def passed(self, id: str, receiver: str) -> None:
         """A receiver has confirmed it."""
@@ -94,7 +107,7 @@ class AlarmBook:
 
 
 class Deliveries(threading.Thread):
-    """Passes alarms on, in order, each once to each receiver: what a receiver has not confirmed is tried again under the same id."""
+    """Passes alarms on, in order, to each receiver until it has confirmed: tried again under the same id, as a further attempt."""
 
     def __init__(
         self, book: AlarmBook, receivers: dict[str, Callable[[dict[str, Any]], bool]], pause_s: float = 2.0
@@ -111,7 +124,7 @@ class Deliveries(threading.Thread):
         """Pass on what is due; a receiver that refuses is asked again later, from the same alarm on."""
         for name, deliver in self._receivers.items():
             for alarm in self._book.due(name):
-                if not deliver(alarm):
+                if not deliver({**alarm, "attempt": self._book.attempt(alarm["id"], name)}):
                     break
                 self._book.passed(alarm["id"], name)
 
@@ -127,7 +140,7 @@ def webhook(url: str) -> Callable[[dict[str, Any]], bool]:
     def deliver(alarm: dict[str, Any]) -> bool:
         request = urllib.request.Request(
             url,
-            json.dumps({name: alarm[name] for name in ("id", "bed", "kind", "level", "text", "raised")}).encode(),
+            _body(alarm).encode(),
             {"Content-Type": "application/json", "Idempotency-Key": alarm["id"]},
         )
         with suppress(OSError, ValueError), urllib.request.urlopen(request, timeout=POST_S) as answer:
@@ -136,6 +149,10 @@ def webhook(url: str) -> Callable[[dict[str, Any]], bool]:
         return False
 
     return deliver
+
+
+def _body(alarm: dict[str, Any]) -> str:
+    return json.dumps({name: alarm[name] for name in SENT})
 
 
 class MqttAlarms:
@@ -166,9 +183,8 @@ class MqttAlarms:
 
     def deliver(self, alarm: dict[str, Any]) -> bool:
         """Publish, and wait until the broker has confirmed."""
-        body = json.dumps({name: alarm[name] for name in ("id", "bed", "kind", "level", "text", "raised")})
         event = threading.Event()
-        number = self._link.say(f"{self._prefix}/alarm/{alarm['bed']}", body, qos=2)
+        number = self._link.say(f"{self._prefix}/alarm/{alarm['bed']}", _body(alarm), qos=2)
         if number is None:
             return False
         with self._lock:

@@ -20,7 +20,9 @@ from kinegraph.devices.lab.guard import Guard
 from kinegraph.devices.lab.proxy import as_request, page_file, page_socket
 from kinegraph.devices.lab.sessions import FACTS as SESSION_FACTS
 from kinegraph.devices.lab.sessions import LabSession, Sessions
-from kinegraph.devices.nats.messages import FACTS, PREFIX
+from kinegraph.devices.nats import link as links
+from kinegraph.devices.nats.messages import DAMAGE, FACTS, PREFIX
+from kinegraph.devices.nats.panels import panels_here
 from kinegraph.devices.nats.server import NAME
 from kinegraph.devices.page.access import Access
 from kinegraph.devices.page.address import Address
@@ -97,7 +99,7 @@ class WardPage:
 
 
 def view_graph(centre: Centre, bed: str) -> str:
-    """A graph of all streams of a bed, for its page."""
+    """A graph of all streams of a bed, for its page, with the panels of the bed's own."""
     link = centre.link
     before = f"{PREFIX}.{bed}.facts.spec."
     info = link.call(link.stream.stream_info(FACTS, subjects_filter=f"{before}>"))
@@ -112,7 +114,11 @@ def view_graph(centre: Centre, bed: str) -> str:
         }
         for name in streams
     }  # fmt: skip
-    return json.dumps({"name": bed, "nodes": nodes}, indent=1)
+    panels: list[dict[str, Any]] = []
+    with suppress(*DAMAGE):
+        sent = link.call(links.fact(link, f"{bed}.facts.panels"))
+        panels = panels_here(json.loads(sent or b"[]"), {name: name.replace(".", "_") for name in streams})
+    return json.dumps({"name": bed, "nodes": nodes, **({"page": {"panels": panels}} if panels else {})}, indent=1)
 
 
 async def _refused(request: Request, error: Exception) -> Response:

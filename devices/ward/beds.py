@@ -33,6 +33,7 @@ class WardBed:
     """What is known of one bed. Times are of the ward's clock (s).
 
     status, agent    the last report of the graph's outlet, and of the bed's agent; {}: no report yet
+    listening_s      since when the ward has been connected: what is silent since before may have reported to nobody
     offset_s, uncertainty_s   of the bed's clock; None: not measured
     night            last night in one line
     order            what is being rolled out, and how far it is
@@ -43,14 +44,21 @@ class WardBed:
     status_s: float = 0.0
     agent: dict[str, Any] = field(default_factory=dict)
     agent_s: float = 0.0
+    listening_s: float = 0.0
     offset_s: float | None = None
     uncertainty_s: float | None = None
     night: str = ""
     order: dict[str, Any] = field(default_factory=dict)
 
+    def awaited(self, now_s: float) -> bool:
+        """Whether the ward has just been connected, and the bed has not reported since: nothing is known of it now."""
+        return self.status_s < self.listening_s and now_s - self.listening_s < SILENT_S
+
     def silence(self, now_s: float) -> Trouble | None:
         """Why nothing comes from the bed, as far as the ward can know."""
         quiet_s = now_s - self.status_s
+        if (self.status or self.agent) and self.awaited(now_s):
+            return Trouble("note", "awaited", "the ward waits for its report")
         if self.status and quiet_s < SILENT_S and not self.status.get("ended"):
             return None
         since = f"silent for {about(quiet_s)}" if self.status else "has not reported yet"
@@ -98,7 +106,7 @@ class WardBed:
         troubles, status = self.troubles(now_s), self.status
         silent = self.silence(now_s)
         state = silent.text if silent else state_of(status.get("streams", {}), int(status.get("now", 0)))
-        facts = {**status, **self.agent} if self.agent else status
+        facts = {**status, **self.agent} if silent else {**self.agent, **status}  # what runs knows best what it is
         return {
             "bed": self.name,
             "level": troubles[0].level if troubles else "well",

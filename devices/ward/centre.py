@@ -26,6 +26,11 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
 
 TURN_S = 1.0
+KEPT = "beds.json"
+"""What beds reported last, for a ward that is started again: who was there and is silent then is an alarm."""
+KEEP_S = 10.0
+FORGET_S = 7 * 86400.0
+"""Beds without a report for so long are left out at the next start."""
 ORDER_S = 10.0
 """How often an order is repeated to a bed that has not taken it."""
 NIGHT = re.compile(r"[\w.+-]{1,64}")
@@ -48,7 +53,9 @@ class Centre:
         self._orders: dict[str, tuple[dict[str, Any], float]] = {}
         self._lock = threading.RLock()
         self._stop = threading.Event()
-        self._made_for = 0
+        self._made_for = self._connection = 0
+        self.listening_s = self._kept_s = 0.0
+        self._load()
         for kind, take in (("status", self._status), ("agent", self._agent), ("facts.night.>", self._night)):
             self.link.subscribe(f"{PREFIX}.*.{kind}", take)
         self._thread = threading.Thread(target=self._run, name="ward", daemon=True)
@@ -67,8 +74,35 @@ class Centre:
             self._thread.join(5)
         if self.deliveries:
             self.deliveries.stop()
+        self._save()
         self.link.close()
         self.book.close()
+
+    def _load(self) -> None:
+        """What beds reported before the ward was started, as old as it is now."""
+        now, wall, given = time.monotonic(), time.time(), set(self.beds)
+        with suppress(OSError, *DAMAGE, AttributeError):
+            for name, kept in json.loads((self.home / KEPT).read_text(encoding="utf-8")).items():
+                status_s, agent_s = now - (wall - kept["status_at"]), now - (wall - kept["agent_at"])
+                if NAME.fullmatch(name) and (name in given or not given) and now - max(status_s, agent_s) < FORGET_S:
+                    self.beds[name] = WardBed(name, kept["status"], status_s, kept["agent"], agent_s)
+
+    def _save(self) -> None:
+        now, wall = time.monotonic(), time.time()
+        with self._lock:
+            self._kept_s = now
+            kept = {
+                bed.name: {
+                    "status": bed.status, "status_at": wall - (now - bed.status_s),
+                    "agent": bed.agent, "agent_at": wall - (now - bed.agent_s),
+                }
+                for bed in self.beds.values()
+                if bed.status or bed.agent
+            }  # fmt: skip
+        try:
+            write_complete(self.home / KEPT, json.dumps(kept))
+        except OSError as error:
+            log.warning("what beds reported cannot be kept", error=error.strerror)
 
     # what comes in -------------------------------------------------------------------------------------------------------
 
@@ -179,14 +213,19 @@ class Centre:
                 self._fetch_nights()
                 self._made_for = self.link.connections
         now, wall = time.monotonic(), time.time()
+        if self.link.there and self._connection != self.link.connections:
+            self._connection, self.listening_s = self.link.connections, now
+        if now - self._kept_s > KEEP_S:
+            self._save()
         with self._lock:
             for name, bed in list(self.beds.items()):
+                bed.listening_s = self.listening_s
                 clock = self._clocks.setdefault(name, BedClock(self.link, name, time.time_ns))
                 if bed.status and now - bed.status_s < 10.0:
                     clock.ask()
                 if clock.offset:
                     bed.offset_s, bed.uncertainty_s = clock.offset.ns / NS, clock.offset.uncertainty_ns / NS
-                if self.link.there:
+                if self.link.there and not bed.awaited(now):
                     self.book.update(name, bed.troubles(now), wall)
 
     def _fetch_nights(self) -> None:

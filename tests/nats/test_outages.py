@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
+from kinegraph.devices.nats import local_server
 from kinegraph.devices.nats.link import Link
-from kinegraph.devices.nats.local_server import LocalServer
+from kinegraph.devices.nats.local_server import LocalServer, program
 from kinegraph.devices.nats.messages import DATA, Position, StreamReader, subject
 from kinegraph.devices.nats.server import NatsServer
 from kinegraph.stream.chunk import NEVER, Chunk
@@ -39,6 +43,63 @@ def test_a_killed_server_is_delay_and_nothing_else(mortal: LocalServer) -> None:
         bed.process("x", samples(500, 10))
         eventually(lambda: len(numbers(centre)) >= 510)
     assert numbers(centre) == list(range(510)) and not centre.lost("out")
+
+
+@contextmanager
+def small_disk(folder: Path, mb: int) -> Iterator[tuple[Path, str]]:
+    """Within: a file system of a few MB at the folder, which only programs begun by the script (second) and root's view (first) see."""
+    folder.mkdir(parents=True)
+    mount = f"mount -t tmpfs -o size={mb}m tmpfs {folder} && echo mounted && exec sleep 600"
+    try:
+        there = subprocess.Popen(
+            ["unshare", "-Urm", "sh", "-c", mount], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+    except FileNotFoundError:
+        pytest.skip("there is no unshare here")
+    try:
+        assert there.stdout is not None
+        if b"mounted" not in there.stdout.readline():
+            pytest.skip("a user may not mount a file system of his own here")
+        script = folder.with_name("nats-server-there")
+        script.write_text(f'#!/bin/sh\nexec nsenter -t {there.pid} -U -m --preserve-credentials {program()} "$@"\n')
+        script.chmod(0o700)
+        yield Path(f"/proc/{there.pid}/root{folder}"), str(script)
+    finally:
+        there.kill()
+        there.communicate()
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("server")
+def test_a_servers_full_disk_is_delay_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system that is full in earnest. The server then takes no more until it is started again, with room."""
+    with small_disk(tmp_path / "small" / "store", 16) as (disk, script):
+        monkeypatch.setattr(local_server, "program", lambda: script)
+        full = LocalServer(tmp_path / "small", free_port(), disk_mb=1000).start()
+        make(full)
+        with sending("bed", full) as bed, receiving("bed", full) as centre:
+            bed.process("x", samples(0, 50))
+            eventually(lambda: len(numbers(centre)) == 50)
+            with suppress(OSError), (disk / "else").open("wb") as other:
+                while True:
+                    other.write(bytes(1 << 12))
+                    other.flush()
+            at = 50
+            while not (
+                bed.runtime.sender and bed.runtime.sender.error
+            ):  # it takes some, as long as its last block has room
+                bed.process("x", samples(at, 500))
+                at += 500
+                time.sleep(0.02)
+            for _ in range(10):
+                bed.process("x", samples(at, 10))
+                at += 10
+            (disk / "else").unlink()
+            full.stop()
+            full.start()
+            eventually(lambda: len(numbers(centre)) >= at)
+        full.stop()
+    assert numbers(centre) == list(range(at)) and not centre.lost("out")
 
 
 def test_a_network_that_is_gone_for_a_while_is_delay_and_nothing_else(mortal: LocalServer) -> None:

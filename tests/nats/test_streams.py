@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kinegraph.devices.nats.local_server import LocalServer
+from kinegraph.devices.nats.messages import digest_of, spec_text
 from kinegraph.stream.engine.replay import Replay
 from kinegraph.stream.graph.reading.load import load_text
 from kinegraph.stream.recording import Recording
+from tests.support.command_line import KINEGRAPH, Command
 from tests.support.mosquitto import eventually
 from tests.support.nats_site import Running, folders, sending, server, session, stream_of
 
@@ -95,4 +98,44 @@ def test_gait_with_amplifier_and_markers_on_two_machines_has_the_cycles_of_one(
     one, third = (stream_of(tmp_path / folder, "cycles.closed") for folder in ("one", "third"))
     assert len(one[0]) > 10
     np.testing.assert_array_equal(one[0], third[0])  # the same to the nanosecond, where 1 ms is asked
+    assert one[1].tobytes() == third[1].tobytes()
+
+
+SENDING = """
+nodes:
+  person: {{use: devices.people.treadmill.Treadmill, muscles: [TA]}}
+  out: {{use: devices.nats.StreamOutlet, bed: {bed}, server: {{url: "{url}"}}, from: {{{streams}}}}}
+"""
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(280)
+def test_gait_of_three_processes_has_the_cycles_of_one(kinegraph: Command, server: LocalServer, tmp_path: Path) -> None:
+    """As laboratories have it: the amplifier's computer, that of the markers, and a third that cuts cycles; each a process."""
+    Path("one.yaml").write_text(PERSON)
+    assert kinegraph("run", "one.yaml", "-o", "one", "--view", "none")[0] == 0
+    places = {"emg": "amplifier3", "touchdown": "markers3", "liftoff": "markers3"}
+    inlets = "".join(INLET % (name, bed, name, server.url) for name, bed in places.items())
+    Path("third.yaml").write_text(f"nodes:\n{inlets}{CYCLES % ('', '', '')}")
+    with Recording.open(tmp_path / "one") as recording:
+        kept = tmp_path / "state" / "kinegraph" / "specs"
+        kept.mkdir(parents=True)
+        for name, bed in places.items():  # the third is started first, before a server knows the streams
+            spec = spec_text(recording.streams[f"person.{name}"].spec)
+            (kept / f"{digest_of(server.url)}.{bed}.{name}.json").write_text(spec)
+    processes = []
+    with Path("log.txt").open("wb") as log:
+        for command in (
+            ["run", "third.yaml", "-o", "third", "--view", "none"],
+            *(["replay", f"{bed}.yaml", "one", "--speak", "out"] for bed in ("amplifier3", "markers3")),
+        ):
+            if command[0] == "replay":
+                bed = command[1].removesuffix(".yaml")
+                streams = ", ".join(f"{name}: person.{name}" for name, where in places.items() if where == bed)
+                Path(command[1]).write_text(SENDING.format(bed=bed, url=server.url, streams=streams))
+            processes.append(subprocess.Popen([KINEGRAPH, *command], stdout=log, stderr=log))
+        assert [process.wait(200) for process in processes] == [0, 0, 0], Path("log.txt").read_text()
+    one, third = (stream_of(tmp_path / folder, "cycles.closed") for folder in ("one", "third"))
+    assert len(one[0]) > 10
+    np.testing.assert_array_equal(one[0], third[0])
     assert one[1].tobytes() == third[1].tobytes()

@@ -26,7 +26,7 @@ from kinegraph.devices.lab.sessions import LabSession
 from kinegraph.devices.nats.local_server import LocalServer
 from kinegraph.devices.nats.server import NatsServer, account_of
 from kinegraph.devices.page.access import Access
-from kinegraph.devices.ward.agent import Agent
+from kinegraph.devices.ward.agent import Agent, installed
 from kinegraph.devices.ward.alarms import AlarmBook, Deliveries, MqttAlarms, webhook
 from kinegraph.devices.ward.app import app_of, view_graph
 from kinegraph.devices.ward.beds import SILENT_S, Trouble, WardBed, attention
@@ -34,11 +34,12 @@ from kinegraph.devices.ward.centre import Centre
 from kinegraph.devices.ward.site import WardSite
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.errors import KinegraphError
+from kinegraph.stream.graph.reading.load import load_text
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH, Command
 from tests.support.live_browser import live_browser
 from tests.support.mosquitto import Mosquitto, eventually, free_port, listening
-from tests.support.nats_site import folders, samples, sending, server, vanish
+from tests.support.nats_site import folders, samples, sending, server, session, vanish
 from tests.support.page_session import needs_page
 
 __all__ = ["folders", "server"]
@@ -138,6 +139,31 @@ def test_an_alarm_is_raised_once_as_long_as_it_lasts_and_passed_on_once(tmp_path
     again.close()
 
 
+def test_what_may_have_arrived_before_comes_again_under_its_id_and_as_a_further_attempt(tmp_path: Path) -> None:
+    """The ward ends between the receiver's answer and the note of it: the one case in which an alarm is sent twice."""
+    book, got = AlarmBook(tmp_path / "a.sqlite"), []
+
+    class Ended(BaseException): ...
+
+    def answers_then_the_ward_ends(alarm: dict[str, Any]) -> bool:
+        got.append((alarm["id"], alarm["attempt"]))
+        raise Ended
+
+    book.update("bed1", [Trouble("alarm", "process gone", "gone")], 1.0)
+    with pytest.raises(Ended):
+        Deliveries(book, {"x": answers_then_the_ward_ends}).turn()
+    book.close()
+    again = AlarmBook(tmp_path / "a.sqlite")
+    again.update(
+        "bed1", [Trouble("alarm", "process gone", "still gone")], 2.0
+    )  # as long as it lasts it is the same alarm
+    for _ in range(2):
+        Deliveries(again, {"x": lambda alarm: bool(got.append((alarm["id"], alarm["attempt"])) or True)}).turn()
+    (alarm,) = again.open()
+    assert got == [(alarm["id"], 1), (alarm["id"], 2)]
+    again.close()
+
+
 class Hook(BaseHTTPRequestHandler):
     """Refuses the first request."""
 
@@ -187,10 +213,51 @@ def test_alarms_arrive_once_by_webhook_and_by_mqtt_and_are_acknowledged_there(tm
 
 @pytest.fixture
 def centre(server: LocalServer, tmp_path: Path) -> Iterator[Centre]:
-    made = Centre(tmp_path / "ward", NatsServer(server.url))
-    assert made.link.wait(20)
+    made = connected(server, tmp_path)
     yield made
     made.stop()
+
+
+def connected(server: LocalServer, tmp_path: Path, *, long_ago: bool = True) -> Centre:
+    """A ward's centre that has been connected for a while, or only just."""
+    made = Centre(tmp_path / "ward", NatsServer(server.url))
+    assert made.link.wait(20)
+    made.turn()
+    made.listening_s -= 3600 if long_ago else 0
+    return made
+
+
+def test_a_ward_that_starts_again_neither_forgets_an_alarm_nor_raises_it_twice(
+    server: LocalServer, tmp_path: Path
+) -> None:
+    """Who was there before and is silent is an alarm; a bed is given the time of a report first; the alarm of before is still the same."""
+    gone, well, now = "gone", "well", time.monotonic()
+    first = connected(server, tmp_path)
+    first.beds = {gone: bed(gone, now - 60, x=stream()), well: bed(well, now, x=stream())}
+    first.turn()
+    (before,) = first.book.open()
+    assert before["bed"] == gone
+    first.stop()
+    second = connected(server, tmp_path, long_ago=False)
+    second.turn()
+    assert [row["state"] for row in second.state()["beds"]] == ["the ward waits for its report"] * 2
+    assert second.book.open() == [before]
+    second.beds[well].status_s = time.monotonic() + 1  # it reports; the other one does not
+    second.listening_s -= SILENT_S + 1
+    second.turn()
+    (after,) = second.book.open()
+    assert (after["id"], after["over"]) == (before["id"], None)
+    second.beds[well].status_s -= 60  # one that went while the ward was away
+    second.turn()
+    assert {one["bed"] for one in second.book.open()} == {gone, well}
+    second.stop()
+
+
+def test_a_ward_that_was_cut_off_does_not_raise_an_alarm_for_every_bed(server: LocalServer, centre: Centre) -> None:
+    centre.beds["bed1"] = bed("bed1", time.monotonic() - 300, x=stream())
+    centre._connection -= 1  # as after a new connection
+    centre.turn()
+    assert centre.book.open() == [] and centre.state()["beds"][0]["level"] == "note"
 
 
 EVENT = StreamSpec((), np.dtype([("state", "U8")]))
@@ -247,6 +314,34 @@ def test_a_bed_shows_itself_at_the_centre_with_its_clock_and_its_night(
     centre.beds["shown"].status_s -= 30
     centre.turn()
     assert [one["kind"] for one in centre.state()["alarms"]] == ["silent"]
+
+
+ARRANGED = """
+page:
+  panels:
+  - {{kind: signal, of: [envelope, person.emg], title: muscle, wide: 3}}
+  - {{kind: answer, show: [{{of: person.touchdown, count: true, label: steps}}, {{of: person.emg, field: TA}}]}}
+  - {{kind: signal, of: person.emg, title: not sent}}
+  - {{kind: state}}
+nodes:
+  person: {{use: devices.people.treadmill.Treadmill, realtime: false, duration_s: 5, muscles: [TA]}}
+  envelope: {{use: operators.emg.Envelope, from: person.emg}}
+  centre:
+    use: devices.nats.StreamOutlet
+    bed: arranged
+    server: {{url: "{url}"}}
+    from: {{steps: person.touchdown, muscle.envelope: envelope}}
+"""
+
+
+def test_a_beds_page_at_the_centre_has_the_beds_own_panels_of_what_it_sends(
+    server: LocalServer, centre: Centre
+) -> None:
+    assert session(ARRANGED.format(url=server.url)).run().error is None
+    made = load_text(view_graph(centre, "arranged"))
+    signal, answer = made.page.panels
+    assert signal == {"kind": "signal", "of": ["muscle_envelope"], "title": "muscle", "wide": 3}
+    assert answer["show"] == [{"of": "steps", "count": True, "label": "steps"}]
 
 
 @contextmanager
@@ -340,6 +435,18 @@ def test_60_beds_are_legible_in_a_browser_those_that_need_attention_first(centre
         )
         assert smallest >= 12
         browser.picture(tmp_path / "ward-60-beds.png")
+        click = "[...document.querySelectorAll('{}')].find(e => e.textContent.includes('{}')).click()"
+        browser.value(
+            click.format(".wardtop button", "8 × aa31c0")
+        )  # a mixed fleet is visible: the few with another graph
+        browser.wait("document.querySelectorAll('table.beds tbody tr').length === 8")
+        browser.value(click.format(".wardtop button", "roll out"))
+        browser.wait("!!document.querySelector('table.beds input')")
+        browser.value(click.format(".wardtop button", "all 8 shown"))
+        browser.wait("document.querySelector('.wardtop + .wardtop strong').textContent === '8 chosen'")
+        browser.value(click.format(".wardtop + .wardtop button", "roll back"))
+        eventually(lambda: sum(one.order.get("state") == "sent" for one in centre.beds.values()) == 8)
+        browser.value(click.format(".wardtop + .wardtop button", "done"))
         browser.value(
             "[...document.querySelectorAll('.alarms button')].find(b => b.textContent === 'acknowledge all').click()"
         )
@@ -391,6 +498,49 @@ def test_a_graph_is_rolled_out_watched_and_rolled_back(server: LocalServer, cent
         agent.stop()
         thread.join(30)
     assert not agent.running
+
+
+INSTALL = "import pathlib, sys; pathlib.Path('version.txt').write_text(sys.argv[1])"
+OF_A_VERSION = """
+import pathlib, sys, time
+if pathlib.Path(__file__).with_name("version.txt").read_text() == "9.9":
+    sys.exit(4)
+time.sleep(600)
+"""
+
+
+def test_a_version_that_does_not_run_is_rolled_back_under_the_same_graph(
+    server: LocalServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    stub, graph, version = tmp_path / "stub.py", tmp_path / "first.yaml", tmp_path / "version.txt"
+    stub.write_text(OF_A_VERSION)
+    graph.write_text("first")
+    version.write_text("before")
+    account, run = NatsServer(server.url), (sys.executable, str(stub))
+    agent = Agent(
+        "versions", tmp_path / "home", account, command=run, install=(sys.executable, "-c", INSTALL), watch_s=0.3
+    )
+    agent.use(graph)
+    running = agent.kept["graph"]
+    try:
+        agent.turn()
+
+        def became(state: str) -> bool:
+            agent.turn()
+            return bool(agent.kept["order"]["state"] == state)
+
+        for order, state, there in (
+            ({"version": "9.9"}, "rolled back", installed()),
+            ({"version": "9.8"}, "done", "9.8"),
+            ({"back": True}, "rolled back", installed()),
+        ):
+            agent._orders.append({"id": f"{order}", **order})
+            eventually(lambda state=state: became(state))
+            assert version.read_text() == there and agent.kept["graph"] == running and agent.running
+    finally:
+        agent.stop()
+        agent.serve()
 
 
 def test_a_sites_accounts_open_its_server_and_others_do_not(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -29,7 +30,9 @@ from kinegraph.stream.batch.study import BatchState, memory_of, number_of_worker
 from kinegraph.stream.batch.work import Common, do
 from kinegraph.stream.cli.commands.batch import _report, _shown
 from kinegraph.stream.errors import GraphError, KinegraphError
+from kinegraph.stream.recording.format.versions import release
 from kinegraph.stream.recording.series import write_recording
+from kinegraph.stream.system.file_digest import sha256_of
 from kinegraph.stream.system.memory_limit import ceiling
 from tests.study.batch_runs import GRAPH, common, out_with
 from tests.study.batch_runs import folder as folder
@@ -37,6 +40,7 @@ from tests.study.batch_runs import recordings as recordings
 from tests.support.command_line import KINEGRAPH, Command, kinegraph, refused
 
 __all__ = ["kinegraph"]
+ROOT = Path(__file__).resolve().parents[2]
 DEADLY = """
 from __future__ import annotations
 
@@ -101,6 +105,38 @@ def test_the_bits_are_those_of_a_replay(folder: Path) -> None:
             assert (one["time"].astype("int64").to_numpy() == replayed.time).all()
     plain = pandas.read_parquet(out / "smooth")
     assert len(plain) == len(table)
+
+
+def test_jobs_name_graph_version_and_recording_by_digest(folder: Path, kinegraph: Command) -> None:
+    assert (
+        kinegraph("batch", "graph.yaml", "s1", "s2", "--set", "smooth.cutoff_hz=4,6", "-o", "out", "--workers", 2)[0]
+        == 0
+    )
+    table = pandas.read_parquet("out/jobs.parquet").set_index(["recording", "settings"])
+    for (name, settings), row in table.iterrows():
+        graph = kg.load("graph.yaml", json.loads(settings))
+        assert row["graph_digest"] == hashlib.sha256(graph.text.encode()).hexdigest()
+        parts = [sha256_of(part) for part in sorted((folder / name).glob("*.mcap"))]
+        assert row["recording_digest"] == hashlib.sha256("".join(parts).encode()).hexdigest()
+        assert row["version"] == release() and re.fullmatch(r".+:\d+", row["worker"])
+    assert table["graph_digest"].nunique() == 2 and table["recording_digest"].nunique() == 2
+
+
+def test_the_pages_lines_for_polars_and_duckdb_open_the_tables(folder: Path) -> None:
+    polars, duckdb = (pytest.importorskip(name, reason=f"{name} is not installed") for name in ("polars", "duckdb"))
+    page = (ROOT / "docs/use/batch.md").read_text()
+    (line,), (query,) = re.findall(r"`(pl\.scan_parquet\(.*?\))`", page), re.findall(r"`(from '.*?')`", page)
+    out, rows = out_with(common()), 0
+    for name in ("s1", "s2"):
+        rows += do(out, Job(folder / name, name))[0].rows["smooth"]
+    out.rename("results")
+    read = eval(line, {"pl": polars}).collect()
+    assert len(read) == rows and set(read["recording"]) == {"s1", "s2"}
+    assert duckdb.sql(f"select count(*), count(distinct recording), max(TA) {query}").fetchone() == (
+        rows,
+        2,
+        read["TA"].max(),
+    )
 
 
 def test_units_and_gaps_are_in_the_file(folder: Path) -> None:
@@ -250,12 +286,12 @@ def test_a_terminal_shows_the_jobs_done_the_failures_and_the_time_left(monkeypat
     tally = BatchState(40)
     with _shown(40, quiet=False) as progress:
         for k in range(8):
-            tally.add(JobEntry(f"{k}", "s1", {}, "failed" if k == 3 else "done", ""), now=k != 2)
+            tally.add(JobEntry(f"{k}", "s1", {}, "failed" if k == 3 else "done", "", worker=f"pc:{k % 2}"), now=k != 2)
             progress(tally)
             time.sleep(0.1)  # the bar is drawn ten times a second
     shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
-    assert re.search(r"batch\s[^\n]*[1-3]/40 jobs", shown) and re.search(
-        r"batch, 1 failed[^\n]*/40 jobs 0:00:\d\d", shown
+    assert re.search(r"batch[\s,][^\n]*[1-3]/40 jobs", shown) and re.search(
+        r"batch, 1 failed, by worker 3 4[^\n]*/40 jobs 0:00:\d\d", shown
     ), shown
     assert tally.finished == 8 and tally.kept == 1 and tally.made["done"] == 6
 

@@ -45,9 +45,12 @@ function App() {
 function Beds() {
   const [ward, error, ask] = usePolled<Ward>("api/ward", POLL_MS);
   const [filter, search] = useState("");
+  const [chosen, choose] = useState<string[] | null>(null);
   if (!ward) return <p class="quiet" role="status">{error || "asking the ward…"}</p>;
   const counts = (["alarm", "attention", "note", "well"] as Level[]).map((level) => [level, ward.beds.filter((one) => one.level === level).length] as const);
-  const shown = ward.beds.filter((one) => `${one.bed} ${one.state} ${Object.values(one.session).join(" ")}`.toLowerCase().includes(filter.toLowerCase()));
+  const words = (one: Bed) => [one.bed, one.state, one.graph, one.digest, one.version, ...Object.values(one.session)].join(" ").toLowerCase();
+  const shown = ward.beds.filter((one) => words(one).includes(filter.toLowerCase()));
+  const mixed = [...tally(ward.beds.map((one) => one.digest.slice(0, 6))), ...tally(ward.beds.map((one) => one.version))];
   return (
     <>
       {error ? <p class="bad" role="alert">{error}</p> : null}
@@ -55,24 +58,44 @@ function Beds() {
       <div class="actions wardtop">
         <strong>{ward.beds.length} beds</strong>
         {counts.filter(([, n]) => n).map(([level, n]) => <span key={level} class={`level ${level}`}>{n} {NAMES[level]}</span>)}
+        {mixed.map(([name, n]) => <button key={name} type="button" title="beds with it" onClick={() => search(filter === name ? "" : name)}>{n} × {name}</button>)}
+        {chosen ? null : <button type="button" onClick={() => choose([])}>roll out…</button>}
         <label class="find">find <input type="search" value={filter} onInput={(e) => search((e.target as HTMLInputElement).value)} /></label>
       </div>
+      {chosen ? (
+        <div class="actions wardtop">
+          <strong>{chosen.length} chosen</strong>
+          <button type="button" onClick={() => choose(shown.map((one) => one.bed))}>all {shown.length} shown</button>
+          {chosen.length ? <Orders beds={chosen} done={ask} /> : null}
+          <button type="button" onClick={() => choose(null)}>done</button>
+        </div>
+      ) : null}
       {ward.alarms.length ? <Alarms alarms={ward.alarms} done={ask} /> : null}
       <div class="bedlist">
         <table class="beds">
           <thead><tr><th>bed</th><th>state</th><th>last night</th><th>graph</th><th>version</th><th class="number">clock</th><th class="number">disk</th><th>recording</th></tr></thead>
-          <tbody>{shown.map((one) => <Row key={one.bed} one={one} />)}</tbody>
+          <tbody>{shown.map((one) => <Row key={one.bed} one={one} chosen={chosen} choose={choose} />)}</tbody>
         </table>
       </div>
     </>
   );
 }
 
-function Row({ one }: { one: Bed }) {
+/** Each text with how often it is there; nothing where all are the same. */
+function tally(texts: string[]): [string, number][] {
+  const counts = new Map<string, number>();
+  for (const text of texts.filter(Boolean)) counts.set(text, (counts.get(text) ?? 0) + 1);
+  return counts.size > 1 ? [...counts].sort((a, b) => b[1] - a[1]) : [];
+}
+
+function Row({ one, chosen, choose }: { one: Bed; chosen: string[] | null; choose: (beds: string[]) => void }) {
   const more = one.troubles.map((t) => t.text).filter((text) => text !== one.state);
   return (
     <tr class={one.level}>
-      <th scope="row"><a href={`#/bed/${encodeURIComponent(one.bed)}`}>{one.bed}</a>{Object.values(one.session).map((text) => <small key={text}> {text}</small>)}</th>
+      <th scope="row">
+        {chosen ? <input type="checkbox" aria-label={`choose ${one.bed}`} checked={chosen.includes(one.bed)} onChange={(e) => choose((e.target as HTMLInputElement).checked ? [...chosen, one.bed] : chosen.filter((name) => name !== one.bed))} /> : null}
+        <a href={`#/bed/${encodeURIComponent(one.bed)}`}>{one.bed}</a>{Object.values(one.session).map((text) => <small key={text}> {text}</small>)}
+      </th>
       <td><span class={`level ${one.level}`} title={NAMES[one.level]}>{one.state}</span>{more.map((text) => <small key={text} class="bad"> {text}</small>)}</td>
       <td>{one.night}</td>
       <td title={one.digest}>{one.graph} <small>{one.digest.slice(0, 6)}</small>{one.order.state && one.order.state !== "done" ? <small> {one.order.state}</small> : null}</td>
@@ -126,7 +149,12 @@ function BedView({ bed }: { bed: string }) {
       <div class="actions bedtop">
         <h1>{bed}</h1>
         {one ? <span class={`level ${one.level}`}>{one.state}</span> : null}
-        {one ? <GraphOrder one={one} done={ask} /> : null}
+        {one ? (
+          <span class="order">
+            <small>{one.graph} {one.digest.slice(0, 6)}{one.order.state ? `, ${one.order.state}${one.order.text ? `: ${one.order.text}` : ""}` : ""}</small>
+            <Orders beds={[one.bed]} done={ask} />
+          </span>
+        ) : null}
       </div>
       {view.error ? <p class="bad" role="alert">{view.error}</p> : null}
       {view.page ? <iframe class="page" title={`page of ${bed}`} src={`sessions/${encodeURIComponent(view.id)}/`} /> : view.error ? null : <p class="quiet" role="status">opening the bed’s page…</p>}
@@ -134,20 +162,25 @@ function BedView({ bed }: { bed: string }) {
   );
 }
 
-function GraphOrder({ one, done }: { one: Bed; done: () => void }) {
+function Orders({ beds, done }: { beds: string[]; done: () => void }) {
   const [error, fail] = useState("");
-  const order = (what: object) => send("api/orders", { beds: [one.bed], ...what }).then(() => { fail(""); done(); }, (e: Error) => fail(e.message));
+  const order = (what: object) => send("api/orders", { beds, ...what }).then(() => { fail(""); done(); }, (e: Error) => fail(e.message));
   const chosen = async (e: Event) => {
     const file = (e.target as HTMLInputElement).files?.[0];
     if (file) await order({ graph: await file.text() });
   };
+  const install = (e: Event) => {
+    e.preventDefault();
+    const version = String(new FormData(e.target as HTMLFormElement).get("version") ?? "").trim();
+    if (version) void order({ version });
+  };
   return (
-    <span class="order">
-      <small>{one.graph} {one.digest.slice(0, 6)}{one.order.state ? `, ${one.order.state}${one.order.text ? `: ${one.order.text}` : ""}` : ""}</small>
+    <>
       <label class="button">roll out a graph <input type="file" accept=".yaml,.yml" hidden onChange={chosen} /></label>
+      <form onSubmit={install}><input name="version" size={8} placeholder="version" aria-label="version" /> <button type="submit">install</button></form>
       <button type="button" onClick={() => order({ back: true })}>roll back</button>
       {error ? <small class="bad" role="alert">{error}</small> : null}
-    </span>
+    </>
   );
 }
 
