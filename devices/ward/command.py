@@ -13,6 +13,7 @@ from kinegraph.stream.cli.commands.page_options import NoToken, PageFor
 if TYPE_CHECKING:
     from kinegraph.devices.ward.alarms import MqttAlarms
     from kinegraph.devices.ward.centre import Centre
+    from kinegraph.devices.ward.site import WardSite
 
 
 class WardAction(StrEnum):
@@ -88,10 +89,21 @@ def _add(home: Path, host: str, port: int, beds: list[str]) -> None:
     if not beds:
         raise KinegraphError("name the beds to add: kinegraph ward add bed1 bed2")
     site = WardSite(home, host, port)
+    _tell_moved(site)
     for bed in beds:
         say(f"{site.add(bed)}: copy this folder to {bed}")
     site.local_server()
     say("a ward that runs takes new beds over when it is started again")
+
+
+def _tell_moved(site: WardSite) -> None:
+    from kinegraph.stream.text.safe_text import say
+
+    if site.moved:
+        say(
+            f"beds reach the ward at {site.host}:{site.port} now: copy the folders below {site.home / 'beds'} to them again",
+            err=True,
+        )
 
 
 def _serve(
@@ -120,6 +132,8 @@ def _serve(
     home = home.resolve()
     address = parsed(at or f":{DEFAULT_PORT}", no_token=no_token)
     site = None if server else WardSite(home, host, port)
+    if site:
+        _tell_moved(site)
     local = site.local_server().start() if site else None
     try:
         centre = Centre(home, site.server if site else account_of(Path(server))[1], beds=site.beds if site else ())

@@ -29,7 +29,10 @@ VALID = datetime.timedelta(days=3650)
 
 
 class WardSite:
-    """The folder of a site with a server of its own."""
+    """The folder of a site with a server of its own.
+
+    moved   whether beds reach it elsewhere than before: their folders are written again, and must be copied again
+    """
 
     def __init__(self, home: Path, host: str = "127.0.0.1", port: int = PORT) -> None:
         self.home = private_folder(home)
@@ -39,12 +42,21 @@ class WardSite:
                 facts |= json.loads((home / "accounts.json").read_text(encoding="utf-8"))
             except (OSError, ValueError) as error:
                 raise KinegraphError(f"{home / 'accounts.json'} cannot be read ({error})") from None
+        before = facts["host"], facts["port"]
         if host != "127.0.0.1":
             facts["host"] = host
+        if port != PORT:
+            facts["port"] = port
+        self.moved = bool(facts["accounts"]) and before != (facts["host"], facts["port"])
         self.host, self.port = str(facts["host"]), int(facts["port"])
         self.accounts = [Account(**one) for one in facts["accounts"]]
         if not self.accounts:
             self._add(CENTRE)
+        if self.moved:
+            (home / "certificate.pem").unlink(missing_ok=True)  # it is for the host of before
+            self._keep()
+            for bed in self.beds:
+                self._folder(bed)
         write_complete(home / CENTRE, self.account(CENTRE).password)
         ca = "  ca_file: certificate.pem\n" if self.encrypted else ""
         text = f"server:\n  url: {self._url('127.0.0.1')}\n  user: {CENTRE}\n  password_file: {CENTRE}\n{ca}"
@@ -64,6 +76,10 @@ class WardSite:
             raise KinegraphError(f"{bed} is the centre's own account; choose another name")
         if bed not in self.beds:
             self._add(bed)
+        return self._folder(bed)
+
+    def _folder(self, bed: str) -> Path:
+        """What is copied to the bed."""
         folder = private_folder(self.home / "beds" / bed)
         write_complete(folder / "password", self.account(bed).password)
         server = {"url": self._url(self.host), "user": bed, "password_file": "password"}
@@ -96,6 +112,9 @@ class WardSite:
 
     def _add(self, name: str) -> None:
         self.accounts.append(Account(name, secrets.token_urlsafe(24)))
+        self._keep()
+
+    def _keep(self) -> None:
         if self.encrypted:
             self._certificate()
         facts = {

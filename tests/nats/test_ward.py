@@ -552,6 +552,18 @@ def test_a_sites_accounts_open_its_server_and_others_do_not(
     # 127.0.0.2 counts as this machine: no certificate; a name of the network has one
     assert code == 0 and "site/beds/bed1: copy this folder to bed1" in out, err
     assert kinegraph("ward", "add", "bad.name", "--home", "site")[0] == 2
+    first = tmp_path / "site/beds/bed1/server.yaml"
+    assert f"nats://127.0.0.2:{port}" in first.read_text()
+    for option, value, url in (
+        ("--host", "ward.example", f"tls://ward.example:{port}"),
+        ("--port", 4299, "tls://ward.example:4299"),
+    ):
+        code, _, err = kinegraph("ward", "add", "bed2", option, value, "--home", "site")
+        assert code == 0 and "copy the folders below site/beds to them again" in err
+        assert (
+            url in first.read_text()
+            and (first.parent / "ca.pem").read_bytes() == (first.parents[2] / "certificate.pem").read_bytes()
+        )
     site = WardSite(tmp_path / "other", "ward.example", port)
     site.add("bed1")
     assert site.encrypted and site.beds == ("bed1",)
