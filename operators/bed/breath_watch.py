@@ -26,6 +26,7 @@ class BreathWatch:
     cells    None: the frames are too few for breath
     window   begin of the open window (ns); NEVER: none
     seen     (k,) end of the newest window with breath (ns); NEVER: none
+    run      (k,) windows in a row with breath: after silence a single one may be noise
     lull     (k,) still windows in a row without breath
     share, count (k,) of the still windows in bed: how many had breath, and how many there were
     """
@@ -33,6 +34,7 @@ class BreathWatch:
     cells: BreathCells | None
     window: int
     seen: Times
+    run: Times
     lull: Times
     share: Samples
     count: Samples
@@ -41,7 +43,8 @@ class BreathWatch:
     def of(k: int, shape: tuple[int, ...], rate_hz: float) -> BreathWatch:
         enough = rate_hz and 60 * rate_hz * 0.45 >= 2 * LOWEST
         cells = BreathCells.of(shape, rate_hz, WINDOW_S, 0, STILL_MM_S) if enough else None
-        return BreathWatch(cells, NEVER, np.full(k, NEVER), np.zeros(k, np.int64), np.ones(k), np.zeros(k))
+        run, lull = np.zeros(k, np.int64), np.zeros(k, np.int64)
+        return BreathWatch(cells, NEVER, np.full(k, NEVER), run, lull, np.ones(k), np.zeros(k))
 
     def add(self, blocks: Samples, time: int) -> None:
         """A frame's blocks (rows, columns)."""
@@ -55,7 +58,7 @@ class BreathWatch:
     def forget(self) -> None:
         """The picture is another one."""
         self.window = NEVER
-        self.lull[:] = 0
+        self.run[:] = self.lull[:] = 0
 
     def left(self, k: int) -> None:
         """The bed is empty."""
@@ -70,9 +73,11 @@ class BreathWatch:
             breathes = confidence >= CONFIDENT
             if not len(breath.cells) and not moved:
                 continue  # too little was measured to see breath: that is no evidence of anything
-            if breathes:
+            self.run[k] = self.run[k] + 1 if breathes else 0
+            believed = breathes and (self.run[k] > 1 or not self.silent(k))
+            if believed:
                 self.seen[k] = end
-            self.lull[k] = 0 if breathes or moved else self.lull[k] + 1
+            self.lull[k] = 0 if believed or moved else self.lull[k] + (not breathes)
             if in_bed[k] and not moved and self.lull[k] < LULL:
                 self.count[k] += 1
                 self.share[k] += (breathes - self.share[k]) * max(FORGETS, 1 / self.count[k])

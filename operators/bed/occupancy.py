@@ -277,7 +277,9 @@ class Occupancy:
         beds, limits = self.beds, self.limits
         self.still[k] = 0
         self.alive[k] = self.alive[k] + 1 if self.state[k] == OUT else 0
-        if self.state[k] == UNKNOWN and (not known or self.doubt[k] in (STILL, CAMERA)):
+        # a few blocks on the edges of what rests tremble, too: where breath was usually seen, it or more movement brings the sleeper back
+        rests = self.doubt[k] == STILL and self.watch.silent(k)
+        if self.state[k] == UNKNOWN and not rests and (not known or self.doubt[k] in (STILL, CAMERA)):
             if not known:
                 self.bodies.take(k, beds.part(k), beds.stretch(k), limits.rise_mm)
             self._become(k, IN, beds.seconds.since, end - 1, events)

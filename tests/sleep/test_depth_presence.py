@@ -114,6 +114,16 @@ def test_a_heap_of_blankets_does_not_stay_in_bed_for_ever() -> None:
     assert [state for state, _ in made] == ["out", "in", "unknown", "out", "unknown"] and made[3][1] < 500
 
 
+def test_a_heap_whose_edges_tremble_is_not_a_sleeper_and_who_breathes_in_its_place_is_one() -> None:
+    time, depth = bedroom(1500, (200, 800), (1300, 1500))
+    heap = (time - time[0] >= 800 * NS) & (time - time[0] < 1300 * NS)
+    depth[heap, 3:12, 8:12] -= 200.0
+    depth[np.ix_(heap, range(3, 9), [8])] += np.random.default_rng(3).normal(0, 3.0, (heap.sum(), 6, 1))
+    made = states(presence(time, depth)["out"], time)
+    assert [state for state, _ in made] == ["out", "in", "unknown", "in", "unknown"]
+    assert made[2] == ("unknown", 810) and 1300 <= made[3][1] <= 1350
+
+
 def test_blocks_that_tremble_at_an_edge_neither_move_nor_breathe() -> None:
     """A block of floor and bed: its mean depends on which of its pixels are measured in a frame."""
     time, depth = bedroom(900, (200, 800))
