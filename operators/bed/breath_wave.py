@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,6 +23,10 @@ MISSED_S = 3.7
 PAUSE_S = 10.0
 FORGETS = 0.3
 """How much of the usual movement each epoch with a rate replaces."""
+ROUNDED, ARMED = 0.1, 0.1
+"""Breaths are counted in a wave smoothed over a fifth of a breath; one begins after it was this part of its range below the median."""
+MISCOUNTED = 0.5
+"""A count that is off by as much of a breath as this or more is not believed."""
 NEAR = 2.5
 """Breaths per minute around a rate that belong to it."""
 
@@ -90,15 +95,16 @@ class BreathWave:
                     self.paused[k] += length
                 self.low[k] = 0
 
-    def learn(self, k: int, ticks: Samples, cells: Times, tick_s: float) -> None:
-        """The cells (some of all) that breathe most in an epoch in which breath is seen, and their depths in it (n, cells).
+    def learn(self, k: int, ticks: Samples, cells: Times, rate: float, tick_s: float) -> None:
+        """The cells (some of all) that breathe most in an epoch in which breath is seen, at this `rate`, and their depths in it (n, cells).
 
-        How far the chest usually moves is taken from the cells of the epoch before: the best of this one hold its noise, too.
+        Which of them rise and fall together shows at the rate itself: any one of them may be mostly noise. How far the chest usually moves
+        is taken from the cells of the epoch before: the best of this one hold its noise, too.
         """
         x = np.where(np.isfinite(ticks), ticks, np.nanmean(ticks, axis=0))
         x = x - x.mean(axis=0)
-        lead = x @ np.sign(x.T @ x[:, 0])
-        signs = np.sign(lead @ x)
+        at = (np.exp(-2j * np.pi * rate / 60 * tick_s * np.arange(len(x))) * np.hanning(len(x))) @ x
+        signs = np.sign((at * np.exp(-0.5j * np.angle((at**2).sum()))).real)
         self.chosen[k] = 0.0
         self.chosen[k, cells] = signs * (1.0 if signs.sum() >= 0 else -1.0)
         span, n = max(2, round(SPAN_S / tick_s)), self.newest.shape[1]
@@ -125,9 +131,40 @@ class BreathWave:
         near = (np.abs(per_min - rate) <= width) | (np.abs(per_min - 2 * rate) <= width)
         return float(high - low), float(power[near].sum() / max(power[per_min > NEAR].sum(), 1e-12))
 
+    def counted(self, k: int, rate: float, error: float, tick_s: float) -> float:
+        """The rate (1/min) of the breaths in the newest epoch, from the first one's beginning to the last one's; else `rate`, by spectrum.
+
+        A spectrum weighs the middle of the epoch most: where breaths differ in length, that is not their mean. It is kept where both agree
+        to its `error`, and where the count is off by more than `MISCOUNTED`: the wave is too noisy for it.
+        """
+        n = self.newest.shape[1]
+        x = self.newest[k, (self.tick - np.arange(n)[::-1]) % n]
+        if not np.isfinite(x).all():
+            return rate
+        begins = _begins(x, 60 / rate / tick_s)
+        if len(begins) < 3:
+            return rate
+        mean = 60 * (len(begins) - 1) / ((begins[-1] - begins[0]) * tick_s)
+        return mean if error < abs(mean - rate) < MISCOUNTED * rate / len(begins) else rate
+
     def forget(self, k: int) -> None:
         """The sleeper has left."""
         self.chosen[k], self.usual[k], self.low[k] = 0.0, 0.0, 0
+
+
+def _begins(x: Samples, period: float) -> Samples:
+    """Where, between its ticks, x (n,) rises through its median, once it was well below; breaths take about `period` ticks."""
+    width = 2 * round(ROUNDED * period) + 1
+    smooth = np.convolve(np.pad(x, width // 2, mode="reflect"), np.full(width, 1 / width), mode="valid")
+    smooth = smooth - np.median(smooth)
+    low, high = np.percentile(smooth, (10, 90))
+    begins, below = [], False
+    for i, (before, here) in enumerate(pairwise(smooth.tolist())):
+        below = below or before < -ARMED * (high - low)
+        if below and before < 0 <= here:
+            begins.append(i - before / (here - before))
+            below = False
+    return np.array(begins)
 
 
 def _smooth(x: Samples, tick_s: float) -> Samples:

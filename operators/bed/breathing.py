@@ -95,7 +95,8 @@ class Breathing(Operator[BreathingState]):
 
     Cells are looked at 4 times a second, or with every frame of a slower camera. Of each the spectrum is taken (no straight line, Hann
     window, pieces of about 30 s), and divided by its own median and by the colour that most cells share; the chest is those 12 cells of
-    the region with the highest peaks, and the rate, from 6 to 45 per minute, is where they are highest together. An
+    the region with the highest peaks, and the rate, from 6 to 45 per minute, is where they are highest together; breaths that differ in
+    length are counted in the wave, which has their mean. An
     epoch in which a cell of the region goes faster than `still_mm_s`, and than its noise, has movement, and no rate. It raises no alarm.
     No delay: the event comes with the epoch's end.
 
@@ -226,12 +227,13 @@ class Breathing(Operator[BreathingState]):
         for k, breath in enumerate(breaths):
             breathes = not s.spoilt[k] and breath.confidence >= self.min_confidence
             seen = breathes and not s.wave.halts(k, tick_s)
-            rate, confidence = breath.rate if seen else math.nan, 0.0 if s.spoilt[k] else breath.confidence
+            rate = s.wave.counted(k, breath.rate, breath.error, tick_s) if seen else math.nan
+            confidence = 0.0 if s.spoilt[k] else breath.confidence
             amplitude, regular = s.wave.sized(k, rate, tick_s)
             if breathes:
                 first = s.epoch // s.cells.tick_ns
                 order = (first + np.arange(len(s.cells.ticks))) % len(s.cells.ticks)
-                s.wave.learn(k, s.cells.ticks[order][:, breath.cells], breath.cells, tick_s)
+                s.wave.learn(k, s.cells.ticks[order][:, breath.cells], breath.cells, breath.rate, tick_s)
             elif not s.there[k]:
                 s.wave.forget(k)
             s.epochs[k] += not s.spoilt[k]

@@ -54,6 +54,21 @@ def made(
     )
 
 
+def test_cells_that_are_mostly_noise_do_not_turn_the_wave_against_itself() -> None:
+    wave = made(600, noise=3.0)["wave"][120:, 0]
+    second = 30 + np.arange(len(wave)) / 4
+    lift = -np.cos(2 * np.pi * breaths(second + 0.125, 0.0))
+    alike = [np.corrcoef(wave[a : a + 120], lift[a : a + 120])[0, 1] for a in range(0, len(wave) - 119, 120)]
+    assert len(alike) >= 18 and min(alike) > 0.5
+
+
+def test_the_rate_of_uneven_breaths_is_that_of_the_mean_breath() -> None:
+    rates = made(900, uneven=0.1)["out"]["rate"][2:30]
+    true = 2 * np.diff(breaths(30.0 * np.arange(2, 31), 0.1))
+    error = np.abs(rates - true)
+    assert np.isfinite(rates).mean() > 0.9 and np.nanmedian(error) < 0.2 and np.nanmax(error) < 1.0
+
+
 def test_the_wave_is_the_movement_of_the_chest() -> None:
     given = made(120)
     wave, events = given["wave"][:, 0], given["out"]
