@@ -99,7 +99,7 @@ def _between_filters(graph: Graph, edge: Edge) -> bool:
 
 def described(name: str, spec: StreamSpec) -> dict[str, Any]:
     """A stream, for the page."""
-    fields = [[field, spec.dtype[field].kind, micro(spec.unit_of(field))] for field in scalar_fields(spec)]
+    fields = [[field, spec.dtype[field].kind, symbol(spec.unit_of(field))] for field in scalar_fields(spec)]
     skeleton = bones_of(spec)
     units = [spec.unit_of(c) for c in spec.channels] if spec.channels and not spec.is_event else [*spec.units[:1]]
     return {
@@ -112,7 +112,7 @@ def described(name: str, spec: StreamSpec) -> dict[str, Any]:
         if spec.is_event
         else units
         if kind_of(spec) in ("points", "mesh", "pose")
-        else [*map(micro, units)],
+        else [*map(symbol, units)],
         "fields": fields,
         "describe": micro(spec.describe()),
         "avatar": avatar_bones(spec),
@@ -121,6 +121,11 @@ def described(name: str, spec: StreamSpec) -> dict[str, Any]:
         "columns": spec.meta.get("columns") if isinstance(spec.meta.get("columns"), int) else None,
         "faces": Topology.of(spec).faces.tolist() if kind_of(spec) == "mesh" else None,
     }
+
+
+def symbol(unit: str) -> str:
+    """A unit as the page shows it: µV, °/s."""
+    return micro(unit).replace("deg", "°", 1) if unit in ("deg", "deg/s") else micro(unit)
 
 
 def scalar_fields(spec: StreamSpec) -> list[str]:

@@ -4,10 +4,14 @@ import { colour, make, type Page, Panel, shade, Sheet, type Span } from "./panel
 import type { Newest, Stream } from "./store";
 import type { Cell, PanelInfo } from "./wire";
 
-const CELL_WIDTH = 150;
+/** A cell is at least so wide; wider where names are long, but there are two in a row on a phone. */
+const [CELL_WIDTH, CELL_WIDEST] = [150, 220];
 const [CELL_LEAST, CELL_MOST, CELL_SHAPE] = [92, 190, 0.62];
 const ROOM = 420;
 const PAD = 6;
+const FONT = "12px system-ui, sans-serif";
+/** A channel that changes by less than this part of what the largest one does shows the noise of arithmetic, and is drawn flat. */
+const NOISE = 1e-6;
 const HEAD = 18;
 
 const field = (stream: Stream, name: string): number => stream.info.fields.findIndex(([f]) => f === name) + 1;
@@ -48,26 +52,27 @@ export class CyclesPanel extends Panel {
     let [ellipses, bands, norms] = [0, 0, 0];
     const names = mean?.info.channels ?? [];
     const order = sideBySide(names);
-    const [columns, tall] = this.grid(names.length, order !== null);
     const until = this.page.recording ? span.at : Infinity;
     const seen = [modes, targets].map((s) => (s ? newestOf(s, until).reduce((n, row) => Math.max(n, row[0] as number), 0) : 0));
     const stance = closed ? stanceOf(closed, until) : new Map<string, number>();
-    const state = this.streams.reduce((n, s) => n * 31 + s.count, Number(this.wanted) + columns * 7 + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
+    const state = this.streams.reduce((n, s) => n * 31 + s.count, Number(this.wanted) + this.body.clientWidth + seen.reduce((a, b) => a * 3 + b, 0));
     if (state === this.drawn) return;
     this.drawn = state;
+    const ranges = levelled(names.map((_, c) => this.range(c, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null)));
+    const [columns, tall] = this.grid(names.length, order !== null, this.widest(names, ranges));
     this.sheet.canvas.style.height = `${Math.ceil(names.length / columns) * tall}px`;
     this.element.dataset["cell"] = String(tall);
     this.element.dataset["columns"] = String(columns);
     const pen = this.sheet.clear();
     const cell = this.sheet.width / columns;
     const scales: Range[] = [];
-    const ranges = names.map((_, c) => this.range(c, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null));
     (order ?? names.map((_, c) => c)).forEach((c, place) => {
       const name = names[c] as string;
       const [x, y] = [(place % columns) * cell, Math.floor(place / columns) * tall];
       const box = { left: x + PAD, top: y + HEAD, width: cell - 2 * PAD, height: tall - HEAD - PAD, least: 0, most: 1 };
-      [box.least, box.most] = scales[c] = (order ? shared(ranges, order, place) : ranges[c]) as Range;
-      if (stance.size) drawStance(pen, stance.get(/^(L|left)[ _]/.test(name) ? "left" : /^(R|right)[ _]/.test(name) ? "right" : "") ?? stance.get(""), box);
+      const other = order ? otherOf(name, names) : -1;
+      [box.least, box.most] = scales[c] = (other < 0 ? ranges[c] : joined(ranges[c] as Range, ranges[other] as Range)) as Range;
+      if (stance.size) drawStance(pen, stance.get(SIDES.find(([side]) => side.test(name))?.[1] ?? "") ?? stance.get(""), box);
       this.drawChannel(pen, c, name, box, mean?.newest ?? null, sd?.newest ?? null, last?.newest ?? null);
       if (low?.newest && high?.newest) norms += drawNorm(pen, column(low.newest, c), column(high.newest, c), box);
       if (targets) bands += drawTargets(pen, targets, newestOf(targets, until, name), box);
@@ -84,9 +89,9 @@ export class CyclesPanel extends Panel {
   }
 
   /** How many cells in a row, and how tall they are: as large as leaves all of them within the panel's room; in pairs, an even number. */
-  private grid(cells: number, pairs: boolean): [number, number] {
+  private grid(cells: number, pairs: boolean, widest: number): [number, number] {
     const wide = this.body.clientWidth;
-    const fit = Math.max(1, Math.min(cells, Math.floor(wide / CELL_WIDTH)));
+    const fit = Math.max(1, Math.min(cells, Math.floor(wide / Math.max(CELL_WIDTH, Math.min(widest, CELL_WIDEST, wide / 2)))));
     const most = pairs && fit > 1 ? fit - (fit % 2) : fit;
     const tall = (columns: number) => Math.round(Math.max(CELL_LEAST, Math.min(CELL_MOST, HEAD + (CELL_SHAPE * wide) / columns)));
     let columns = most;
@@ -95,12 +100,24 @@ export class CyclesPanel extends Panel {
     return [columns, tall(columns)];
   }
 
+  /** How wide a cell must be for a name and its scale beside each other. */
+  private widest(names: string[], ranges: Range[]): number {
+    const pen = this.sheet.context;
+    pen.font = FONT;
+    return 4 * PAD + Math.max(0, ...names.map((name, c) => pen.measureText(name).width + pen.measureText(this.scale(ranges[c] as Range)).width));
+  }
+
+  private scale([least, most]: Range): string {
+    const unit = this.streams[0]?.info.units[0] ?? "";
+    return `${least < 0 ? `${rounded(least)} to ` : ""}${rounded(most)}${unit.startsWith("°") ? "" : " "}${unit}`;
+  }
+
   /** From where to where a channel's curves reach; from 0, unless they go below it as an angle or a moment does. */
   private range(c: number, mean: Newest | null, sd: Newest | null, last: Newest | null): Range {
     const [middle, band, newest] = [mean, sd, last].map((n) => (n ? column(n, c) : []));
     const known = (values: number[]) => values.filter((v) => v === v);
     const tops = known([...(middle ?? []).map((m, i) => m + (band?.[i] ?? 0)), ...(newest ?? [])]);
-    const most = this.info.most ?? (Math.max(0, ...tops) || 1);
+    const most = this.info.most ?? Math.max(0, ...tops);
     const least = Math.min(0, ...known([...(middle ?? []), ...(newest ?? [])]));
     return [least < -0.05 * Math.max(most, 0) ? Math.min(least, ...known((middle ?? []).map((m, i) => m - (band?.[i] ?? 0)))) : 0, most];
   }
@@ -111,12 +128,13 @@ export class CyclesPanel extends Panel {
     const [middle, band, newest] = [mean && column(mean, c), sd && column(sd, c), last && column(last, c)];
     const y = (v: number) => Math.max(box.top, Math.min(box.top + height, level(v, box)));
     const x = (i: number, n: number) => left + (width * i) / Math.max(1, n - 1);
-    pen.font = "12px system-ui, sans-serif";
+    pen.font = FONT;
+    const scale = this.scale([least, most]);
     pen.fillStyle = colour("ink");
-    pen.fillText(name, left, top + 12);
+    pen.fillText(cut(pen, name, width - pen.measureText(scale).width - PAD), left, top + 12);
     pen.fillStyle = colour("dim");
     pen.textAlign = "right";
-    pen.fillText(`${least < 0 ? `${Number(least.toPrecision(2))} to ` : ""}${Number(most.toPrecision(2))} ${this.streams[0]?.info.units[0] ?? ""}`, left + width, top + 12);
+    pen.fillText(scale, left + width, top + 12);
     pen.textAlign = "left";
     pen.strokeStyle = colour("rule");
     pen.strokeRect(left + 0.5, box.top + 0.5, width, height);
@@ -153,10 +171,28 @@ export class CyclesPanel extends Panel {
   }
 }
 
-/** Each left channel with its right one behind it, where all have one ("L_TA", "R_TA"), by their numbers; else null. */
+/** How names of left and of right channels begin: "L_TA", "left TA", "LHip.flexion". */
+const SIDES: [RegExp, string, string][] = [[/^(L(?=[ _A-Z])|left(?=[ _]))/, "left", "R"], [/^(R(?=[ _A-Z])|right(?=[ _]))/, "right", "L"]];
+
+/** The number of the channel of the other side; -1 where there is no such channel. */
+function otherOf(name: string, names: string[]): number {
+  const [side, , letter] = SIDES.find(([begins]) => begins.test(name)) ?? [];
+  return side ? names.indexOf(name.replace(side, (begin) => (begin.length === 1 ? (letter as string) : begin === "left" ? "right" : "left"))) : -1;
+}
+
+/** Each left channel with its right one behind it, by their numbers, then those of no side; null where no channel has another one. */
 function sideBySide(names: string[]): number[] | null {
-  const pairs = names.flatMap((name, c) => (/^(L|left)[ _]/.test(name) ? [c, names.indexOf(name.replace(/^L/, "R").replace(/^left/, "right"))] : []));
-  return pairs.length === names.length && new Set(pairs).size === names.length && !pairs.includes(-1) ? pairs : null;
+  const pairs = names.flatMap((name, c) => (SIDES[0]?.[0].test(name) && otherOf(name, names) >= 0 ? [c, otherOf(name, names)] : []));
+  return pairs.length ? [...pairs, ...names.map((_, c) => c).filter((c) => !pairs.includes(c))] : null;
+}
+
+const rounded = (value: number): string => String(Number(value.toPrecision(2))).replace("-", "\u2212");
+
+/** A text, cut so that it is at most so wide. */
+function cut(pen: CanvasRenderingContext2D, text: string, wide: number): string {
+  let shown = text;
+  while (shown.length > 1 && pen.measureText(shown).width > wide) shown = `${shown.replace(/…$/, "").slice(0, -1)}…`;
+  return shown;
 }
 
 const column = (newest: Newest, c: number): number[] => {
@@ -171,9 +207,12 @@ interface Box { left: number; top: number; width: number; height: number; least:
 const level = (v: number, box: Box): number => box.top + box.height * (1 - (v - box.least) / (box.most - box.least));
 
 /** The range of a left channel and its right one together, so that they can be compared. */
-function shared(ranges: Range[], order: number[], place: number): Range {
-  const pair = [order[place - (place % 2)], order[place - (place % 2) + 1]].map((c) => ranges[c as number] as Range);
-  return [Math.min(...pair.map(([least]) => least)), Math.max(...pair.map(([, most]) => most))];
+const joined = (one: Range, other: Range): Range => [Math.min(one[0], other[0]), Math.max(one[1], other[1])];
+
+/** The ranges, from 0 to 1 where a channel shows nothing but noise. */
+function levelled(ranges: Range[]): Range[] {
+  const largest = Math.max(0, ...ranges.map(([least, most]) => Math.max(most, -least)));
+  return ranges.map(([least, most]) => (Math.max(most, -least) <= NOISE * largest ? [0, 1] : [least, most]));
 }
 
 /** Of the latest accepted cycle, how much is stance (%), by limb; "" where limbs are not separated. */

@@ -26,6 +26,8 @@ function kindOf(stream: Stream): number {
   return 0;
 }
 
+const lastOf = (stream: Stream): string => stream.info.name.split(".").at(-1) as string;
+
 export class EventsPanel extends Panel {
   private readonly sheet = new Sheet(this.body, this.height);
   private readonly kinds = new Map<string, number>();
@@ -67,11 +69,17 @@ export class EventsPanel extends Panel {
         const value = kind ? (row[kind] ?? null) : null;
         const own = value === null || value === "" ? "" : String(value);
         const key = `${stream.number} ${own}`;
-        const label = own === "" ? stream.info.name : this.streams.length === 1 ? own : `${stream.info.name.split(".").at(-1)} ${own}`;
+        const word = typeof value === "number" ? `${stream.info.fields[kind - 1]?.[0]} ${own}` : own;
+        const label = own === "" ? this.nameOf(stream) : this.streams.length === 1 ? word : `${lastOf(stream)} ${own}`;
         if (!lanes.has(key) && lanes.size < MOST_LANES) lanes.set(key, { stream, label, kind: value, shade: this.shadeOf(own || stream.info.name) });
       }
     }
     return [...lanes.values()].sort((a, b) => a.stream.number - b.stream.number || (a.label < b.label ? -1 : 1));
+  }
+
+  /** The last part of a stream's name, or all of it where another stream ends alike. */
+  private nameOf(stream: Stream): string {
+    return this.streams.some((other) => other !== stream && lastOf(other) === lastOf(stream)) ? stream.info.name : lastOf(stream);
   }
 
   private shadeOf(kind: string): number {

@@ -7,6 +7,8 @@ import type { PanelInfo } from "./wire";
 
 /** Places are kept so long, and so many are drawn. */
 const KEEP_S = 600, MOST_DRAWN = 4000;
+/** How large the markers of a pose are that no lines join. */
+const DOT = 3;
 const EYE: Eye = { turn: 0, tip: 0.1 };
 /** From places of the map to places on the sheet. */
 type Place = (x: number, y: number) => [number, number];
@@ -78,14 +80,15 @@ export class LiveMapPanel extends Panel {
     if (!newest) return null;
     const count = newest.shape[0] as number, side = Math.min(this.sheet.width / columns, this.sheet.height / Math.ceil(count / columns));
     const poses = newest.data as Float32Array, view = extent(poses, EYE);
+    const left = Math.max(0, (this.sheet.width - side * columns) / 2);
     for (let c = 0; c < count; c++) {
-      const box = { x: side * (c % columns), y: side * Math.floor(c / columns), width: side, height: side };
+      const box = { x: left + side * (c % columns), y: side * Math.floor(c / columns), width: side, height: side };
       pen.strokeStyle = colour("rule");
       pen.strokeRect(box.x, box.y, side, side);
-      if (this.figure.markers.length) drawPose(pen, poses, c, this.figure, EYE, box, view, colour("ink"), 1.5);
+      if (this.figure.markers.length) drawPose(pen, poses, c, this.figure, EYE, box, view, colour("ink"), this.figure.bones.length ? 1.5 : DOT);
     }
     this.element.dataset["cells"] = String(count);
-    return (x, y) => [side * (x + 0.5), side * (y + 0.5)];
+    return (x, y) => [left + side * (x + 0.5), side * (y + 0.5)];
   }
 
   /** All places fit the sheet, one scale for both axes. */

@@ -113,7 +113,7 @@ export class ScenePanel extends Panel {
 
   constructor(info: PanelInfo, streams: Stream[], page: Page) {
     super(info, streams, page);
-    this.body.style.minHeight = `${this.height * 1.2}px`;
+    this.body.style.minHeight = this.tall;
     this.figures = streams.map((stream, i) => this.figure(stream, i));
     this.up.onclick = () => {
       this.up.setAttribute("aria-pressed", String(this.up.getAttribute("aria-pressed") !== "true"));
@@ -130,6 +130,11 @@ export class ScenePanel extends Panel {
     return new Drawn(stream, number, this.streams.length === 1);
   }
 
+  /** As tall as asked for, but no taller than the screen below the answer: whoever moves is seen from head to foot. */
+  private get tall(): string {
+    return `min(${this.height * 1.2}px, max(18rem, 100vh - 18.5rem))`;
+  }
+
   /** From where it is looked at first. */
   protected get from(): Vector3 {
     return new Vector3(0.5, 0.35, 0.8);
@@ -139,7 +144,7 @@ export class ScenePanel extends Panel {
     const renderer = new WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
     renderer.setPixelRatio(Math.min(2, window.devicePixelRatio));
     this.renderer = renderer;
-    this.tools.append(this.up);
+    if (this.info.kind !== "avatar") this.tools.append(this.up); // a pose says which way is up
     this.body.append(renderer.domElement);
     renderer.domElement.setAttribute("aria-label", "three-dimensional view; drag turns it, so do Shift and the arrows; plus and minus bring it near and far");
     const sun = new DirectionalLight(0xffffff, 2);
@@ -162,7 +167,7 @@ export class ScenePanel extends Panel {
   }
 
   override resize(): void {
-    this.body.style.minHeight = `${this.height * 1.2}px`;
+    this.body.style.minHeight = this.tall;
     super.resize();
   }
 
