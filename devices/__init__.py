@@ -68,7 +68,6 @@ if TYPE_CHECKING:
     from kinegraph.devices.reports.session import SessionReport
     from kinegraph.devices.reports.training import TrainingReport
     from kinegraph.devices.shimmer import Shimmer
-    from kinegraph.devices.synthesis import Synthesis
     from kinegraph.devices.trigno import Trigno
     from kinegraph.devices.usb.endpoint import Endpoint
 
@@ -129,7 +128,6 @@ __all__ = [
     "StepPanel",
     "StreamInlet",
     "StreamOutlet",
-    "Synthesis",
     "TrainingReport",
     "Treadmill",
     "TreadmillControl",
@@ -202,7 +200,6 @@ __getattr__, __dir__ = offered(
         "StepPanel": "kinegraph.devices.outlets.terminal.step_panel",
         "StreamInlet": "kinegraph.devices.nats",
         "StreamOutlet": "kinegraph.devices.nats",
-        "Synthesis": "kinegraph.devices.synthesis",
         "TrainingReport": "kinegraph.devices.reports.training",
         "Treadmill": "kinegraph.devices.people.treadmill",
         "TreadmillControl": "kinegraph.devices.fitness_treadmill.control",

@@ -111,6 +111,8 @@ if TYPE_CHECKING:
     from kinegraph.operators.strides.footfalls import Footfalls
     from kinegraph.operators.strides.stride_manner import StrideManner
     from kinegraph.operators.strides.stride_shape import StrideShape
+    from kinegraph.operators.synthesis import Synthesis
+    from kinegraph.operators.synthesis.live import LiveWalk
     from kinegraph.operators.timing.align import Align
     from kinegraph.operators.timing.gate import Gate
     from kinegraph.operators.timing.pause import Pause
@@ -160,6 +162,7 @@ __all__ = [
     "LimbCycles",
     "LimbSymmetry",
     "LimbWatch",
+    "LiveWalk",
     "Lowpass",
     "MarkerContacts",
     "MarkerWatch",
@@ -222,6 +225,7 @@ __all__ = [
     "StrideShape",
     "Surer",
     "SwitchContacts",
+    "Synthesis",
     "Threshold",
     "TimingWatch",
     "TurnAxes",
@@ -277,6 +281,7 @@ __getattr__, __dir__ = offered(
         "LimbCycles": "kinegraph.operators.cycles.limb_cycles",
         "LimbSymmetry": "kinegraph.operators.cycles.statistics.symmetry",
         "LimbWatch": "kinegraph.operators.monitors.limb_watch",
+        "LiveWalk": "kinegraph.operators.synthesis.live",
         "Lowpass": "kinegraph.operators.filters.iir",
         "MarkerContacts": "kinegraph.operators.contacts.marker",
         "MarkerWatch": "kinegraph.operators.monitors.marker_watch",
@@ -339,6 +344,7 @@ __getattr__, __dir__ = offered(
         "StrideShape": "kinegraph.operators.strides.stride_shape",
         "Surer": "kinegraph.operators.body.marker_fusion",
         "SwitchContacts": "kinegraph.operators.contacts.force",
+        "Synthesis": "kinegraph.operators.synthesis",
         "Threshold": "kinegraph.operators.filters.threshold",
         "TimingWatch": "kinegraph.operators.monitors.timing_watch",
         "TurnAxes": "kinegraph.operators.filters.turn_axes",

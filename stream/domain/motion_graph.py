@@ -1,7 +1,7 @@
 """A motion graph as it is stored: stretches of recorded poses (nodes), and where one may go over into another (edges).
 
-Made by `kinegraph motion train graph`, walked by devices.synthesis.Synthesis. Placements on the floor are a turn about the vertical y and a
-shift in x and z: a point p goes to (x cos + z sin, y, -x sin + z cos) + (shift x, 0, shift z).
+Made by `kinegraph motion train graph`, walked by operators.synthesis.Synthesis. Placements on the floor are a turn about the vertical y and
+a shift in x and z: a point p goes to (x cos + z sin, y, -x sin + z cos) + (shift x, 0, shift z).
 """
 
 from __future__ import annotations

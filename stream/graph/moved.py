@@ -51,6 +51,7 @@ MOVED = {
     "devices.simulators.treadmill.Treadmill": "devices.people.treadmill.Treadmill",
     "devices.simulators.treadmill.source.Treadmill": "devices.people.treadmill.Treadmill",
     "devices.simulators.walkway.Walkway": "devices.people.walkway.Walkway",
+    "devices.synthesis.Synthesis": "operators.synthesis.Synthesis",
     "devices.vmc.Vmc": "devices.osc.vmc_inlet.Vmc",
     "operators.align.Align": "operators.timing.align.Align",
     "operators.arithmetic.Arithmetic": "operators.filters.arithmetic.Arithmetic",

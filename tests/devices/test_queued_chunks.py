@@ -43,7 +43,7 @@ FILES = {
     "devices.recorded.depth_clip.DepthClip",
     "devices.recorded.depthai_replay.DepthaiReplay",
     "devices.recorded.recorded_streams.RecordedStreams",
-    "devices.synthesis.Synthesis",
+    "operators.synthesis.Synthesis",
     "devices.nats.StreamInlet",
 }
 """A file or a server declares their streams."""

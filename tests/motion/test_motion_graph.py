@@ -14,10 +14,6 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from kinegraph.devices.synthesis.goals import Aim
-from kinegraph.devices.synthesis.path_search import MAX, WaySearch
-from kinegraph.devices.synthesis.source import NODE, Synthesis
-from kinegraph.devices.synthesis.walker import LEGS, GraphWalk
 from kinegraph.operators.features.stack import Stack
 from kinegraph.operators.maps.motion_graph.build import Nodes, build_graph, find_edges
 from kinegraph.operators.maps.motion_graph.clouds import cloud_distance, placement
@@ -25,6 +21,10 @@ from kinegraph.operators.maps.motion_graph.commands.train import name_clusters, 
 from kinegraph.operators.maps.motion_graph.measures import measure, travel_s
 from kinegraph.operators.maps.motion_graph.primitives import spans_of
 from kinegraph.operators.maps.motion_graph.takes import Take, mirrored_poses, pieces, standing
+from kinegraph.operators.synthesis.goals import Aim
+from kinegraph.operators.synthesis.path_search import MAX, WaySearch
+from kinegraph.operators.synthesis.source import NODE, Synthesis
+from kinegraph.operators.synthesis.walker import LEGS, GraphWalk
 from kinegraph.stream.chunk import NS, Array, Samples
 from kinegraph.stream.data.model_file import ModelError, read_model, write_model
 from kinegraph.stream.domain.motion_graph import KIND, MotionGraph
@@ -227,7 +227,7 @@ def test_a_search_is_spread_over_frames(graph: MotionGraph, monkeypatch: pytest.
         begun.append(len(looks))
         begin_at(search, *what)
 
-    walker = GraphWalk(graph, [Aim(path=np.array([[0.0, 0.0], [0.0, 40.0]]))], np.array([[0.0, 5.0, 0.5]]))
+    walker = GraphWalk(graph, [], np.array([[0.0, 5.0, 0.5]]))
     for _ in range(2 * CYCLE):
         walker.step()
     monkeypatch.setattr(WaySearch, "go_on", counted)
@@ -377,7 +377,7 @@ def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph:
         avatar.settimeout(10)
         Path("walk.yaml").write_text(
             "nodes:\n"
-            "  walk: {use: devices.synthesis.Synthesis, model: graph.npz, duration_s: 5, realtime: false}\n"
+            "  walk: {use: operators.synthesis.Synthesis, model: graph.npz, duration_s: 5, realtime: false}\n"
             "  file: {use: devices.outlets.bvh_file.BvhFile, from: {pose: walk.pose}, path: walk.bvh}\n"
             f"  avatar: {{use: devices.osc.vmc_outlet.VmcOutlet, from: {{pose: walk.pose}}, port: {avatar.getsockname()[1]}}}\n"
             "record: [walk.pose, walk.node]\n"
@@ -386,7 +386,7 @@ def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph:
         assert b"/VMC/Ext/Bone/Pos" in avatar.recv(65536)
     assert "Frames:        150" in Path("walk.bvh").read_text()
     Path("alone.yaml").write_text(
-        "nodes:\n  walk: {use: devices.synthesis.Synthesis, model: graph.npz, duration_s: 2}\nrecord: [walk.pose]\n"
+        "nodes:\n  walk: {use: operators.synthesis.Synthesis, model: graph.npz, duration_s: 2}\nrecord: [walk.pose]\n"
     )
     assert (
         kinegraph("run", "alone.yaml", "--view", "none", "-o", "alone")[0] == 0

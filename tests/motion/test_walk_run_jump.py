@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kinegraph.devices.synthesis.source import NODE, Synthesis
+from kinegraph.operators.synthesis.source import NODE, Synthesis
 from kinegraph.stream.chunk import NS, Array, Samples
 from kinegraph.stream.domain.motion_graph import MotionGraph
 from kinegraph.stream.domain.skeleton import joints_of
@@ -51,7 +51,7 @@ def test_it_does_what_it_is_told_in_turn(trained: MotionGraph, kinegraph: Comman
         avatar.settimeout(10)
         Path("act.yaml").write_text(
             "nodes:\n"
-            "  act: {use: devices.synthesis.Synthesis, model: graph.npz, realtime: false, order: [[walk, 3], [run, 4], [jump, 2]]}\n"
+            "  act: {use: operators.synthesis.Synthesis, model: graph.npz, realtime: false, order: [[walk, 3], [run, 4], [jump, 2]]}\n"
             f"  avatar: {{use: devices.osc.vmc_outlet.VmcOutlet, from: {{pose: act.pose}}, port: {avatar.getsockname()[1]}}}\n"
             "record: [act.pose, act.node]\n"
         )

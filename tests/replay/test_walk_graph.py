@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 import kinegraph as kg
-from kinegraph.devices.synthesis.source import EXAMPLE
-from kinegraph.devices.synthesis.walker import GraphWalk
+from kinegraph.operators.synthesis.source import EXAMPLE
+from kinegraph.operators.synthesis.walker import GraphWalk
 from kinegraph.stream.domain.motion_graph import MotionGraph
 from kinegraph.stream.domain.skeleton import joints_of
 

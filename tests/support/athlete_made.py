@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinegraph.devices.synthesis.blend_kernel import blended, placed
 from kinegraph.operators.maps.motion_graph.takes import TOES
+from kinegraph.operators.synthesis.blend_kernel import blended, placed
 from kinegraph.stream.chunk import Samples, grid
 from kinegraph.stream.domain.skeleton import joints_of
 from kinegraph.stream.recording.series import Series, write_recording

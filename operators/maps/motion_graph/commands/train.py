@@ -51,7 +51,7 @@ def graph(
     kinegraph files import walk.bvh -o walk.mcap --unit walk=cm; kinegraph motion train graph walk.mcap --call walk=0-12 -o graph.npz
 
     Every stream of poses of a human is used (BVH and AMC files give one each), at the bone lengths of the first. Primitives are those that
-    a recording holds (the output `primitive` of operators.segmentation.Segment); one without is segmented now. devices.synthesis walks it.
+    a recording holds (the output `primitive` of operators.segmentation.Segment); one without is segmented now. Synthesis walks it.
     """
     from kinegraph.operators.maps.motion_graph.build import build_graph
     from kinegraph.operators.maps.motion_graph.primitives import segmented

@@ -9,9 +9,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from kinegraph.devices.synthesis.blend_kernel import blended
-from kinegraph.devices.synthesis.goals import Aim
-from kinegraph.devices.synthesis.walker import GraphWalk
+from kinegraph.operators.synthesis.blend_kernel import blended
+from kinegraph.operators.synthesis.goals import Aim
+from kinegraph.operators.synthesis.walker import GraphWalk
 from kinegraph.stream.chunk import NS, Chunk, Specs, StreamSpec
 from kinegraph.stream.domain.humanoid import BONES
 from kinegraph.stream.domain.motion_graph import MotionGraph
@@ -201,5 +201,5 @@ def _left(walker: GraphWalk) -> float:
     progress = walker.progress
     if not len(progress.path):
         return np.inf
-    x, z = (float(np.interp(progress.along, progress.sought.length, progress.path[:, k])) for k in (0, 1))
+    x, z = (float(np.interp(progress.along, progress.length, progress.path[:, k])) for k in (0, 1))
     return progress.left_m + float(np.hypot(x - walker.pose[0], z - walker.pose[2]))

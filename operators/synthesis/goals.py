@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from kinegraph.devices.synthesis.layout import Sought
-from kinegraph.devices.synthesis.plan_kernel import nearest_ahead
+from kinegraph.operators.synthesis.layout import Sought
+from kinegraph.operators.synthesis.matching_kernel import nearest_ahead
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.domain.motion_graph import MotionGraph
 
 ARRIVED_M = 0.5
 """So near to a target, or to the end of a path, is there."""
+AROUND_M = 0.35
+"""A path is bent around forbidden areas, so far from them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,15 +32,33 @@ class Aim:
 
 
 def sought(graph: MotionGraph, seconds: Samples, aim: Aim) -> Sought:
-    """An aim as the search knows it; `seconds` as `seconds_to` says."""
+    """An aim as the search on the graph knows it; `seconds` as `seconds_to` says. Paths are followed by motion matching."""
     mine = graph.core & (graph.cluster == aim.cluster)
-    nothing, every = np.zeros(len(mine), np.bool_), np.ones(len(mine), np.bool_)
-    togo = np.ascontiguousarray(seconds[:, aim.cluster]) if aim.cluster >= 0 and mine.any() else np.zeros(len(mine))
-    if aim.path is None:
-        return Sought(np.zeros((0, 2)), np.zeros(0), mine if aim.cluster >= 0 else nothing, every, togo)
-    path: Samples = np.array(aim.path, np.float64, order="C")
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    return Sought(path, length, nothing, mine if aim.cluster >= 0 else every, togo)
+    if aim.path is not None or aim.cluster < 0:
+        return Sought(np.zeros(len(mine), np.bool_), np.zeros(len(mine)))
+    return Sought(mine, np.ascontiguousarray(seconds[:, aim.cluster]) if mine.any() else np.zeros(len(mine)))
+
+
+def around(path: Samples, areas: Samples) -> Samples:
+    """A polyline (p, 2) that passes areas (x, z, radius) by half an octagon, `AROUND_M` from them, where its lines cross them."""
+    made = [path[0]]
+    for a, b in pairwise(path):
+        along = b - a
+        size = float(np.linalg.norm(along))
+        unit = along / size if size else along
+        for x, z, radius in sorted(areas.tolist(), key=lambda area: float((np.array(area[:2]) - a) @ unit)):
+            centre, room = np.array([x, z]), radius + AROUND_M
+            at = float((centre - a) @ unit)
+            away = a + at * unit - centre
+            if not 0.0 < at < size or np.linalg.norm(away) >= room:
+                continue
+            side = away / np.linalg.norm(away) if np.linalg.norm(away) > 1e-6 else np.array([unit[1], -unit[0]])
+            made += [
+                centre + room / np.cos(np.pi / 8) * turn
+                for turn in ((side - unit) / 2**0.5, side, (side + unit) / 2**0.5)
+            ]
+        made.append(b)
+    return np.array(made)
 
 
 def seconds_to(graph: MotionGraph) -> Samples:
@@ -58,15 +79,17 @@ class Progress:
 
     aims    those that are left, the first under way
     over    whether all have been done
-    sought  the first, as the search knows it
+    sought  the first, as the search on the graph knows it
+    path (p, 2), length (p,)   its path on the floor, and how far along it each point is; may be empty
     along   how far along its path the walk is, m
     """
 
-    def __init__(self, graph: MotionGraph) -> None:
-        self._graph, self._seconds = graph, seconds_to(graph)
+    def __init__(self, graph: MotionGraph, areas: Samples) -> None:
+        self._graph, self._seconds, self._areas = graph, seconds_to(graph), areas
         self.aims: list[Aim] = []
         self.over, self._passed, self.along = True, 0, 0.0
         self.sought = sought(graph, self._seconds, Aim())
+        self.path, self.length = np.zeros((0, 2)), np.zeros(0)
 
     def begin(self, aims: Sequence[Aim]) -> None:
         """These from now on."""
@@ -74,14 +97,9 @@ class Progress:
         self._take_up()
 
     @property
-    def path(self) -> Samples:
-        """(p, 2) the path on the floor that is followed; may be empty."""
-        return self.sought.path
-
-    @property
     def left_m(self) -> float:
-        """What is left of the path."""
-        return float(self.sought.length[-1] - self.along) if len(self.path) else np.inf
+        """How much is left of the path."""
+        return float(self.length[-1] - self.along) if len(self.path) else np.inf
 
     def ends_at(self, node: int) -> bool:
         """Whether entering `node` is the last that the first aim asks for: nodes of a cluster, a number of them."""
@@ -102,7 +120,7 @@ class Progress:
         """Note that the walk is at this place; whether that is the end of the path."""
         if not len(self.path):
             return False
-        self.along, _ = nearest_ahead(self.path, self.sought.length, self.along, 1.0, x, z)
+        self.along, _ = nearest_ahead(self.path, self.length, self.along, 1.0, x, z)
         arrived = self.left_m < ARRIVED_M and bool(np.hypot(*(self.path[-1] - (x, z))) < ARRIVED_M)
         if arrived:
             self._next_aim()
@@ -118,4 +136,7 @@ class Progress:
 
     def _take_up(self) -> None:
         self._passed, self.along = 0, 0.0
-        self.sought = sought(self._graph, self._seconds, self.aims[0] if self.aims else Aim())
+        aim = self.aims[0] if self.aims else Aim()
+        self.sought = sought(self._graph, self._seconds, aim)
+        self.path = np.zeros((0, 2)) if aim.path is None else around(np.array(aim.path, np.float64), self._areas)
+        self.length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.path, axis=0), axis=1))])

@@ -11,13 +11,10 @@ from kinegraph.stream.compiler.record import numbers_of, record
 from kinegraph.stream.domain.motion_graph import MotionGraph, edges_from
 
 WALK = np.dtype([
-    ("node", "<i8"), ("frame", "<i8"), ("turn", "<f8"), ("x", "<f8"), ("z", "<f8"), ("seconds", "<f8"), ("along", "<f8"), ("error", "<f8"),
-    ("looks", "<f8"), ("hits", "<f8"), ("first", "<i8"), ("score", "<f8"), ("off", "<f8"), ("heading", "<f8"), ("other", "<f8"),
-    ("there", "<f8"), ("end_x", "<f8"), ("end_z", "<f8"),
+    ("node", "<i8"), ("frame", "<i8"), ("turn", "<f8"), ("x", "<f8"), ("z", "<f8"), ("seconds", "<f8"), ("hits", "<f8"), ("first", "<i8"),
+    ("score", "<f8"),
 ])  # fmt: skip
-"""A walk: where it is, how it is placed, how long it takes, how far along the path it is, the sum of squared distances from it, of how
-many looks, how many in forbidden areas, its first edge, its score, its last distance from the path, its heading, seconds in nodes that are
-not of the gait, seconds until it comes to the path's end (0: it does not), and its place at the end."""
+"""A walk: where it is, how it is placed, how long it takes, how many looks are in forbidden areas, its first edge, its score."""
 SEARCH = np.dtype([
     ("deep", "<i8"), ("count", "<i8"), ("best", "<f8"), ("found", "<i8"), ("chosen", "<i8"), ("next", "<i8"), ("kept", "<i8"),
     ("origin", "<i8"),
@@ -79,13 +76,9 @@ def _bools(a: Array) -> Array:
 @dataclass(frozen=True)
 class Sought:
     """
-    path (p, 2), length (p,)  the way on the floor, and how far along it each point is; may be empty
-    goal, gait (k,)           nodes of the cluster that is wanted (all false: no cluster is); nodes in which the path is followed
-    togo (k,)                 seconds from the start of each node to the cluster, or gait, that is wanted; 0: no goal, or already there
+    goal (k,)   nodes of the cluster that is wanted (all false: no cluster is)
+    togo (k,)   seconds from the start of each node to that cluster; 0: no goal, or already there
     """
 
-    path: Samples
-    length: Samples
     goal: Array
-    gait: Array
     togo: Samples

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinegraph.devices.synthesis import plan_kernel as beam
-from kinegraph.devices.synthesis.layout import SEARCH, WALK, Sought, Ways
+from kinegraph.operators.synthesis import plan_kernel as beam
+from kinegraph.operators.synthesis.layout import SEARCH, WALK, Sought, Ways
 from kinegraph.stream.chunk import Array, Samples
 from kinegraph.stream.domain.motion_graph import MotionGraph
 
@@ -21,12 +21,11 @@ EVENNESS = 1.0
 
 @dataclass(slots=True)
 class Start:
-    """Where a search begins: at a frame of a node, placed (turn, x, z), `along` the path."""
+    """Where a search begins: at a frame of a node, placed (turn, x, z)."""
 
     node: int
     frame: int
     place: Samples
-    along: float
 
 
 class WaySearch:
@@ -38,9 +37,8 @@ class WaySearch:
         self._far = graph.distance / max(float(graph.distance.max(initial=0.0)), 1e-9)
         self._share = beam.BEAM * max(1.0, len(graph.source) / len(graph.first))
         self._rooms = np.zeros((2, beam.BEAM + 1), WALK)
-        self._row = np.zeros(1, WALK)
         self._search = np.zeros(1, SEARCH)
-        self.start = Start(0, 0, np.zeros(3), 0.0)
+        self.start = Start(0, 0, np.zeros(3))
         self.running, self.edge, self.due = False, -1, 0
 
     def begin_at(self, start: Start, sought: Sought, entered: Samples) -> None:
@@ -48,7 +46,7 @@ class WaySearch:
         self.start, self._sought = start, sought
         _set_out(self._rooms[0, :1], start)
         ways = slice(*self.ways.begin[start.node : start.node + 2].tolist())
-        by_chance = not sought.goal.any() and not len(sought.path)
+        by_chance = not sought.goal.any()
         self._lots = self._chances(ways, entered) if by_chance else 1e-3 * self.random.random(ways.stop - ways.start)
         self._search[0] = 0, 1, np.inf, -1, -1, 0, 0, ways.start
         self.running, self.edge = True, -1
@@ -81,7 +79,7 @@ class WaySearch:
         search = self._search[0]
         share = 1 + (beam.DEPTH - search["deep"]) * self._share / max(1, frames)
         looked = beam.deepen(
-            int(min(MAX, share)) if frames > 0 else MAX, self._search, self.start.along, self.ways, self._sought,
+            int(min(MAX, share)) if frames > 0 else MAX, self._search, self.ways, self._sought,
             self.areas, self._lots, *self._rooms,
         )  # fmt: skip
         if frames > 0 and search["deep"] < beam.DEPTH:
@@ -94,17 +92,9 @@ class WaySearch:
         """How many frames the blend of an edge has on either side of its middle."""
         return 0 if self.ways.natural[edge] else min(self.graph.blend, int(self.graph.leave[edge]) - self.start.frame)
 
-    def along(self, start: Start, upto: int, sought: Sought) -> float:
-        """How far along the path a walk will be that goes on from `start` to the frame `upto`."""
-        if not len(sought.path):
-            return 0.0
-        _set_out(self._row, start)
-        beam.look(self._row, 0, upto, self.ways, sought, self.areas)
-        return float(self._row["along"][0])
-
 
 def _set_out(walk: Array, start: Start) -> None:
     """Let a walk (1,) begin there."""
     walk[:] = np.zeros(1, WALK)
-    walk["node"], walk["frame"], walk["along"] = start.node, start.frame, start.along
+    walk["node"], walk["frame"] = start.node, start.frame
     walk["turn"], walk["x"], walk["z"] = start.place
