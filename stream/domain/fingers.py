@@ -52,42 +52,46 @@ def finger_offsets() -> Samples:
 
 
 def finger_rotations(bends: Samples) -> Samples:
-    """Rotations (30, 4) of FINGER_BONES, local and relative to the T-pose (palms down), from `bends` (40,) in degrees.
+    """Rotations (..., 30, 4) of FINGER_BONES, local and relative to the T-pose (palms down), from `bends` (..., 40) in degrees.
 
     >>> finger_rotations(np.zeros(40))[0]
     array([1., 0., 0., 0.])
     """
-    angles = np.radians(bends).reshape(2, 5, 4)
-    made = np.zeros((2, 5, 3, 4))
+    before = bends.shape[:-1]
+    angles = np.radians(bends).reshape(*before, 2, 5, 4)
+    made = np.zeros((*before, 2, 5, 3, 4))
     for hand, side in enumerate((1.0, -1.0)):
         for finger in range(5):
-            bend, spread, second, third = angles[hand, finger]
+            bend, spread, second, third = np.moveaxis(angles[..., hand, finger, :], -1, 0)
             away = (1.0, 1.0, 0.0, -1.0, -1.0)[
                 finger
             ] * spread  # from the middle finger, towards the thumb or away from it
+            turns = made[..., hand, finger, :, :]
             if finger == 0:  # down out of the palm's plane; spread, and bent further, within it
-                made[hand, 0, 0] = _times(_about(1, -side * away), _about(0, bend))
-                made[hand, 0, 1], made[hand, 0, 2] = _about(1, side * second), _about(1, side * third)
+                turns[..., 0, :] = _times(_about(1, -side * away), _about(0, bend))
+                turns[..., 1, :], turns[..., 2, :] = _about(1, side * second), _about(1, side * third)
                 continue
-            made[hand, finger, 0] = _times(_about(1, -side * away), _about(2, -side * bend))
-            made[hand, finger, 1], made[hand, finger, 2] = _about(2, -side * second), _about(2, -side * third)
-    return made.reshape(30, 4)
+            turns[..., 0, :] = _times(_about(1, -side * away), _about(2, -side * bend))
+            turns[..., 1, :], turns[..., 2, :] = _about(2, -side * second), _about(2, -side * third)
+    return made.reshape(*before, 30, 4)
 
 
-def _about(axis: int, angle: float) -> Samples:
-    """A rotation about x, y or z (0, 1, 2)."""
-    made = np.zeros(4)
-    made[0], made[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
+def _about(axis: int, angle: Samples) -> Samples:
+    """Rotations (..., 4) about x, y or z (0, 1, 2) by angles (...)."""
+    made = np.zeros((*np.shape(angle), 4))
+    made[..., 0], made[..., 1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
     return made
 
 
 def _times(p: Samples, q: Samples) -> Samples:
-    """The product of two quaternions."""
-    return np.array(
+    """The products of quaternions (..., 4)."""
+    (pw, px, py, pz), (qw, qx, qy, qz) = np.moveaxis(p, -1, 0), np.moveaxis(q, -1, 0)
+    return np.stack(
         [
-            p[0] * q[0] - p[1] * q[1] - p[2] * q[2] - p[3] * q[3],
-            p[0] * q[1] + p[1] * q[0] + p[2] * q[3] - p[3] * q[2],
-            p[0] * q[2] - p[1] * q[3] + p[2] * q[0] + p[3] * q[1],
-            p[0] * q[3] + p[1] * q[2] - p[2] * q[1] + p[3] * q[0],
-        ]
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
     )

@@ -23,6 +23,7 @@ from kinegraph.devices.people.quadruped import marked, topology, walking
 from kinegraph.operators.steering.model.parts import edges_of, seams_of
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.domain.humanoid import usual_body
+from kinegraph.stream.domain.performance import Performance
 from kinegraph.stream.domain.skeleton import joints_of
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.recording import Recording
@@ -53,7 +54,7 @@ def test_an_exported_mesh_comes_back_and_is_trained_on(tmp_path: Path) -> None:
 
 def test_a_skinned_skeleton_bends_its_sticks(tmp_path: Path) -> None:
     tree, poses = usual_body(), np.array([true_pose(2.0 + 0.1 * k) for k in range(20)])
-    write_skeleton(tmp_path / "a.glb", tree, np.arange(20) / 30, poses)
+    write_skeleton(tmp_path / "a.glb", Performance(tree, np.arange(20) / 30, poses))
     mesh = read_gltf(tmp_path / "a.glb")
     ((_, rate, frames),) = animated(mesh, tmp_path / "a.glb", None)
     places = joints_of(tree, poses)[1]

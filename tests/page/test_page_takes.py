@@ -14,7 +14,8 @@ from kinegraph.devices.page.hub import Hub
 from kinegraph.devices.page.takes import Takes
 from kinegraph.devices.page.transfer.wire import RecordTake, asked
 from kinegraph.devices.people.performer import true_pose
-from kinegraph.stream.chunk import Chunk
+from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.domain.fingers import BENDS
 from kinegraph.stream.domain.humanoid import usual_body
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.operator import grid
@@ -45,12 +46,34 @@ def test_a_take_holds_what_came_between_two_presses(live: tuple[Takes, Any], tmp
     comes(30, 50)
     files = takes.end(tmp_path / "takes")
     comes(50, 60)
-    assert [file.name for file in files] == ["my_dance.vrma", "my_dance.bvh"]
+    assert [file.name for file in files] == ["my_dance.vrma", "my_dance.glb", "my_dance.bvh"]
     document, data = gltf_of(files[0])
     is_vrm_animation(document, data, POSES[10:50])  # type: ignore[arg-type]
     (animation,) = document["animations"]  # type: ignore[misc]
     assert numbers(document, data, animation["samplers"][0]["input"])[[0, -1]] == pytest.approx([0.0, 39 / 30])
-    assert len(read_bvh(files[1], "cm")[0].data) == 40
+    assert len(read_bvh(files[2], "cm")[0].data) == 40
+
+
+def test_a_take_holds_the_hands_and_the_face_of_its_panel(tmp_path: Path) -> None:
+    streams = {
+        "body.pose": (TREE.spec(30.0), POSES),
+        "fingers": (StreamSpec((40,), rate_hz=30.0, channels=BENDS, units=("deg",)), np.full((60, 40), 50.0)),
+        "face": (StreamSpec((2,), rate_hz=30.0, channels=("Blink_L", "Blink_R")), np.full((60, 2), 0.25)),
+    }
+    takes = Takes([{"kind": "avatar", "of": list(streams)}], {name: spec for name, (spec, _) in streams.items()})
+    edges = {name: SimpleNamespace(observers=[]) for name in streams}
+    takes.observe(SimpleNamespace(edges=edges))  # type: ignore[arg-type]
+    takes.begin("wave")
+    for name, (_, rows) in streams.items():
+        for observe in edges[name].observers:
+            observe(Chunk(grid(30.0, 60), rows, 0))
+    document, _ = gltf_of(takes.end(tmp_path)[0])
+    facts = document["extensions"]["VRMC_vrm_animation"]  # type: ignore[index]
+    assert len(facts["humanoid"]["humanBones"]) == 52 and list(facts["expressions"]["preset"]) == [
+        "blinkLeft",
+        "blinkRight",
+    ]
+    assert "LeftIndexDistal" in (tmp_path / "wave.bvh").read_text()
 
 
 def test_no_take_is_overwritten_and_an_empty_one_is_refused(live: tuple[Takes, Any], tmp_path: Path) -> None:
@@ -114,6 +137,6 @@ def test_the_button_writes_a_take_beside_the_recording(tmp_path: Path) -> None:
         assert "jump.vrma" in written
         assert run.stop() in (0, 130)
         assert browser.complaints == []
-    assert sorted(path.name for path in (tmp_path / "s" / "takes").iterdir()) == ["jump.bvh", "jump.vrma"]
+    assert sorted(path.name for path in (tmp_path / "s" / "takes").iterdir()) == ["jump.bvh", "jump.glb", "jump.vrma"]
     document, _ = gltf_of(tmp_path / "s" / "takes" / "jump.vrma")
     assert document["animations"]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinegraph.stream.chunk import Array, Samples
+from kinegraph.stream.domain.performance import PRESETS, Performance
 from kinegraph.stream.domain.skeleton import JointTree
 
 FLOAT, SHORT, INT = 5126, 5123, 5125
@@ -23,6 +24,12 @@ TOLERANCE_M = 0.0005
 """Morph targets are the motion's principal directions; as many as keep every vertex within this distance of where it was."""
 MAX_TARGETS = 64
 VRM_ANIMATION = "VRMC_vrm_animation"
+THUMBS = {
+    f"{side}Thumb{old}": f"{side.lower()}Thumb{new}"
+    for side in ("Left", "Right")
+    for old, new in (("Proximal", "Metacarpal"), ("Intermediate", "Proximal"))
+}
+"""What VRM 1 calls the bones of thumbs; all others are called as in VRM 0."""
 THICK = 0.08
 """A stick's thickness in shares of its length."""
 
@@ -54,6 +61,12 @@ class Glb:
         self.json["accessors"].append(accessor)
         return len(self.json["accessors"]) - 1
 
+    def zeros(self, count: int) -> int:
+        """`count` vectors of zeros, which take no bytes, as an accessor; returns its number."""
+        zero = {"componentType": FLOAT, "count": count, "type": "VEC3", "min": [0.0] * 3, "max": [0.0] * 3}
+        self.json["accessors"].append(zero)
+        return len(self.json["accessors"]) - 1
+
     def animation(self, times: Samples, channels: list[tuple[int, str, Array]]) -> None:
         """What moves: (node, path, values) for each channel, at `times` (n,) in s."""
         at = self.add(times.astype("<f4"), "SCALAR", bounds=True)
@@ -77,8 +90,12 @@ class Glb:
             file.write(self._bytes)
 
 
-def write_skeleton(path: Path, tree: JointTree, times: Samples, poses: Samples, name: str = "body") -> None:
-    """Poses (n, 3 + 4 j) at `times` (n,) s, which rise, as an animated skeleton with a stick for every bone."""
+def write_skeleton(path: Path, played: Performance, name: str = "body") -> None:
+    """An animated skeleton with a stick for every bone; expressions are morph targets of that name, which move no vertex.
+
+    Such targets carry the weights into animation programs, as shape keys with their curves: the sticks have no face.
+    """
+    tree, poses = played.tree, played.poses
     glb, j = Glb(), len(tree.joints)
     children = [[k for k in range(j) if tree.parents[k] == p] for p in range(j)]
     for k in range(j):
@@ -99,30 +116,47 @@ def write_skeleton(path: Path, tree: JointTree, times: Samples, poses: Samples, 
         "JOINTS_0": glb.add(bones, "VEC4", target=VERTICES),
         "WEIGHTS_0": glb.add(weights, "VEC4", target=VERTICES),
     }
-    glb.json["meshes"] = [
-        {
-            "name": name,
-            "primitives": [{"attributes": attributes, "indices": glb.add(faces, "SCALAR", target=TRIANGLES)}],
-        }
-    ]
-    glb.animation(times, _moved(poses, j))
+    primitive: dict[str, Any] = {"attributes": attributes, "indices": glb.add(faces, "SCALAR", target=TRIANGLES)}
+    mesh: dict[str, Any] = {"name": name, "primitives": [primitive]}
+    moved = _moved(poses, j)
+    if played.weights is not None and played.expressions:
+        still = glb.zeros(len(places))
+        primitive["targets"] = [{"POSITION": still}] * len(played.expressions)
+        mesh |= {"weights": [0.0] * len(played.expressions), "extras": {"targetNames": list(played.expressions)}}
+        moved.append((j, "weights", played.weights.astype("<f4").reshape(-1)))
+    glb.json["meshes"] = [mesh]
+    glb.animation(played.seconds, moved)
     glb.write(path)
 
 
-def write_vrm_animation(path: Path, times: Samples, body: JointTree, poses: Samples) -> None:
-    """Poses (n, 91) of a humanoid `body` (stream/domain/humanoid.py) at `times` (n,) s as a VRM animation, for avatars of any size.
+def write_vrm_animation(path: Path, played: Performance) -> None:
+    """A humanoid's poses (stream/domain/humanoid.py), fingers and expressions as a VRM animation, for avatars of any size.
 
-    Source: VRMC_vrm_animation-1.0 of the VRM consortium: the rest is the T-pose, hips move, every other bone turns.
+    Source: VRMC_vrm_animation-1.0 of the VRM consortium: the rest is the T-pose, hips move, every other bone turns, and an expression's
+    weight is how far its node is along x.
     """
+    body, poses = played.tree, played.poses
     glb, j = Glb(), len(body.joints)
     for k, joint in enumerate(body.joints):
         children = [c for c in range(j) if body.parents[c] == k]
         node: dict[str, Any] = {"name": joint, "translation": body.offsets[k].tolist()}
         glb.json["nodes"].append(node | ({"children": children} if children else {}))
-    glb.animation(times, _moved(poses, j))
-    named = {joint[0].lower() + joint[1:]: {"node": k} for k, joint in enumerate(body.joints)}
+    moved = _moved(poses, j)
+    preset, custom = dict[str, Any](), dict[str, Any]()
+    for k, name in enumerate(played.expressions if played.weights is not None else ()):
+        glb.json["nodes"].append({"name": name})
+        glb.json["scenes"][0]["nodes"].append(j + k)
+        (preset if name in PRESETS else custom)[PRESETS.get(name, name)] = {"node": j + k}
+        along = np.zeros((len(poses), 3), "<f4")
+        along[:, 0] = played.weights[:, k] if played.weights is not None else 0.0
+        moved.append((j + k, "translation", along))
+    glb.animation(played.seconds, moved)
+    named = {THUMBS.get(joint, joint[0].lower() + joint[1:]): {"node": k} for k, joint in enumerate(body.joints)}
+    facts: dict[str, Any] = {"specVersion": "1.0", "humanoid": {"humanBones": named}}
+    if preset or custom:
+        facts["expressions"] = {kind: some for kind, some in (("preset", preset), ("custom", custom)) if some}
     glb.json["extensionsUsed"] = [VRM_ANIMATION]
-    glb.json["extensions"] = {VRM_ANIMATION: {"specVersion": "1.0", "humanoid": {"humanBones": named}}}
+    glb.json["extensions"] = {VRM_ANIMATION: facts}
     glb.write(path)
 
 
