@@ -27,7 +27,6 @@ from bench.body_render import Clip, Studio, about_y, studio, truth_of
 from kinegraph.operators.body.marker_fusion import Surer
 from kinegraph.operators.body.names import markers_specs
 from kinegraph.operators.filters.one_euro import OneEuro
-from kinegraph.operators.filters.predict import Predict
 from kinegraph.operators.pose.operator import WholePose
 from kinegraph.stream.chunk import Chunk, Samples, StreamSpec
 from kinegraph.stream.domain.humanoid import BONES, usual_body
@@ -131,12 +130,11 @@ def spec_of_markers() -> StreamSpec:
 
 def posed(markers: Samples, confidence: Samples, *, model: Path | None = PEOPLE) -> tuple[Samples, Samples, Samples]:
     """Joints (n, 22, 3), y up, world rotations (n, 22, 4) and what is guessed (n, 22), of markers (n, 20, 3) of this confidence."""
-    spec, times = spec_of_markers(), grid(30.0, len(markers))
-    chunk = Chunk(times, markers, int(times[-1]))
-    for step in (OneEuro(cutoff_hz=1.0, beta=2.0), Predict(ahead_s=0.033, tau_s=0.15)):
-        spec = step.open({"in": spec})["out"]
-        chunk = step.process("in", chunk)  # type: ignore[assignment]
-    pose = WholePose(up="-y", model=model)
+    spec, times, smooth = spec_of_markers(), grid(30.0, len(markers)), OneEuro(cutoff_hz=1.0, beta=10.0)
+    smooth.open({"in": spec})
+    chunk = smooth.process("in", Chunk(times, markers, int(times[-1])))
+    assert isinstance(chunk, Chunk)
+    pose = WholePose(up="-y", model=model, follow_hz=1.5)
     poses, joints, flags = np.empty((len(times), 91)), np.empty((len(times), 22, 3)), np.empty((len(times), 22))
     pose.open({"in": spec, "confidence": StreamSpec(confidence.shape[1:], rate_hz=30.0)})
     for i, time in enumerate(times.tolist()):

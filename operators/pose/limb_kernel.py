@@ -205,7 +205,7 @@ def _bend_spine(marks: Samples, offsets: Samples, turns: Samples, joints: Sample
 def fit_head(
     marks: Samples, known: Array, from_bone: Samples, offsets: Samples, turns: Samples, joints: Samples, work: Samples
 ) -> None:
-    """Bring neck and head onto the head's marker, and the head's heading onto nose and ears."""
+    """Bring neck and head onto the head's marker; the head looks where the nose is from the ears, which may be hidden by turns."""
     if known[HEAD_AT]:
         turn(turns[NECK], offsets[HEAD], work[3, :3])
         turn(turns[HEAD], from_bone[HEAD_AT], work[4, :3])
@@ -218,6 +218,7 @@ def fit_head(
         work[3, :3] = marks[EAR_AT] - marks[EAR_AT + 1]
         work[4, :3] = marks[NOSE_AT] - 0.5 * (marks[EAR_AT] + marks[EAR_AT + 1])
         cross(work[4, :3], work[3, :3], work[5, :3])
+        cross(work[5, :3], work[4, :3], work[3, :3])
         from_axes(work[3, :3], work[5, :3], turns[HEAD])
     place_from(HEAD, NECK, offsets, turns, joints)
 

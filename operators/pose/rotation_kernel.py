@@ -146,3 +146,18 @@ def swing(q: Samples, along: Samples, towards: Samples, work: Samples) -> None:
     shortest(work[0, :3], towards, work[1])
     multiply(work[1], q, q)
     normalise(q)
+
+
+@kernel
+def turn_by(q: Samples, rotation: Samples, factor: float, out: Samples, work: Samples) -> None:
+    """`q` (4,) turned by `factor` times the rotation vector `rotation` (3,) in its own axes, into `out` (4,), which may be `q`.
+
+    `work` (4,) is room, of which `rotation` may be the last three.
+    """
+    angle = factor * math.sqrt(dot(rotation, rotation))
+    share = factor * (math.sin(0.5 * angle) / angle if abs(angle) > TINY else 0.5)
+    for a in range(3):
+        work[1 + a] = share * rotation[a]
+    work[0] = math.cos(0.5 * angle)
+    multiply(q, work, out)
+    normalise(out)

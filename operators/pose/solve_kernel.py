@@ -15,6 +15,7 @@ from kinegraph.operators.pose.limb_kernel import (
     HIP_AT,
     HIPS,
     NECK,
+    NOSE_AT,
     SHOULDER_AT,
     SIDE,
     THIGH,
@@ -28,7 +29,7 @@ from kinegraph.operators.pose.motion_kernel import limit_turns, put_feet, same_s
 from kinegraph.operators.pose.prior_kernel import features_of, geometric_prior, heading, middles, trained_prior
 from kinegraph.operators.pose.regions_kernel import Corrections, regional_of, regress
 from kinegraph.operators.pose.rotation_kernel import from_axes
-from kinegraph.operators.pose.steady_kernel import ease_turns, steady_bends, steady_head
+from kinegraph.operators.pose.steady_kernel import ease_turns, follow_turns, shows_head, steady_bends, steady_head
 from kinegraph.stream.chunk import Array, Samples, Times
 from kinegraph.stream.domain.skeleton import place_joints, turn
 from kinegraph.stream.kernel import kernel
@@ -50,7 +51,7 @@ class Solver(NamedTuple):
     from_bone (m, 3), bone_of (m,)  where landmarks are from which joint
     usual, offsets (22, 3)  the skeleton as given and as calibrated; parents (22,)
     turns, turns_before, local, local_before (22, 4)  rotations in the world and relative to parents; joints (22, 3)
-    speeds (22, 3), bends (4, 4), head (9,)  how bones turn, limbs bend, and how the head is turned (steady_kernel)
+    followed (22, 4), speeds (22, 3), bends (4, 4), head (11,)  how bones turn, limbs bend, and how the head is turned (steady_kernel)
     eases (m, 4)  as in `complete_marks`
     learned  the regression; without one there are no centres
     """
@@ -80,6 +81,7 @@ class Solver(NamedTuple):
     left: Samples
     memory: Samples
     feet: Samples
+    followed: Samples
     speeds: Samples
     bends: Samples
     head: Samples
@@ -182,15 +184,20 @@ def flag(s: Solver) -> None:
 
 
 @kernel
-def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float) -> None:
+def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float, rest_rad_s: float) -> None:
     """The pose that fits the landmarks, as far as one period lets the bones turn."""
     heading(s.marks, s.present, s.left)
     steady_bends(s.marks, s.present, s.left, dt, s.bends, s.work)
     prior(s)
     fit_pose(s.marks, s.present, s.from_bone, s.parents, s.offsets, s.turns, s.joints, s.work)
     standing = s.memory[FRAMES] if s.memory[CALIBRATED] == 0.0 else 0.0
-    steady_head(s.turns, dt, standing, s.head, s.work)
-    if first or s.memory[LEAPT] > 0.0:
+    shown = not s.present[NOSE_AT] or shows_head(s.marks, s.seen, standing, s.head)
+    steady_head(s.turns, dt, shown, standing, s.head, s.work)
+    if first:
+        s.followed[:] = s.turns
+    if rest_rad_s > 0.0:
+        follow_turns(s.flags, dt, rest_rad_s, s.followed, s.speeds, s.turns, s.work)
+    elif first or s.memory[LEAPT] > 0.0:
         s.speeds[:] = 0.0
     else:
         ease_turns(s.turns_before, dt, s.speeds, s.turns, s.work)
@@ -205,7 +212,7 @@ def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float) -> No
 
 @kernel
 def solve(
-    rows: Samples, sure: Array, time: Times, s: Solver, frames: int, feet: bool, turn_rad_s: float,
+    rows: Samples, sure: Array, time: Times, s: Solver, frames: int, feet: bool, turn_rad_s: float, rest_rad_s: float,
     poses: Samples, joints: Samples, quality: Samples,
 ) -> None:  # fmt: skip
     """Poses (n, 3 + 4 * 22), joints (n, 22, 3) and what is known of them (n, 22 + 4) of the samples `rows` (n, width), of
@@ -215,14 +222,15 @@ def solve(
         dt = min(max(now - s.memory[LAST], STEPS_S[0]), STEPS_S[1])
         first = s.memory[STARTED] == 0.0
         s.memory[LAST] = now
-        if believe(rows[i], sure[i], dt, frames, s):
+        moved = believe(rows[i], sure[i], dt, frames, s)
+        flag(s)
+        if moved:
             s.memory[OUTSIDE] = 0.0
-            move(s, dt, first, feet, turn_rad_s)
+            move(s, dt, first, feet, turn_rad_s, rest_rad_s)
             if not first:
                 same_signs(s.local_before, s.local)
             s.turns_before[:] = s.turns
             s.local_before[:] = s.local
-        flag(s)
         pose = poses[i]
         pose[:3] = s.joints[0]
         for b in range(s.local.shape[0]):

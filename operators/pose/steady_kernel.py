@@ -1,4 +1,4 @@
-"""What noise would make of a pose: limbs that are nearly straight, and a head whose markers lie close together, follow by degrees."""
+"""What noise would make of a pose: bones, limbs that are nearly straight, and a head whose markers are close together follow by degrees."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ import math
 from kinegraph.operators.pose.limb_kernel import (
     ANKLE_AT,
     BENT,
+    EAR_AT,
     ELBOW_AT,
     HEAD,
     HIP_AT,
     KNEE_AT,
     NECK,
+    NOSE_AT,
     SHOULDER_AT,
     UPPER_CHEST,
     WRIST_AT,
     smooth_step,
 )
-from kinegraph.operators.pose.rotation_kernel import angle_between, dot, normalise, part_way, relative, unit
+from kinegraph.operators.pose.rotation_kernel import angle_between, dot, normalise, part_way, relative, turn_by, unit
 from kinegraph.stream.chunk import Array, Samples
 from kinegraph.stream.domain.skeleton import multiply, turn
 from kinegraph.stream.kernel import kernel
@@ -29,13 +31,18 @@ LEVEL_MOST = 0.7
 """Whoever is calibrated looks ahead, up to this error of the markers (rad)."""
 NECK_MOST, HEAD_MOST = 0.8, 1.2
 """How far the neck turns from the chest, and the head (rad): the limits of an adult's neck in any direction, rounded up."""
-HEAD_HZ, HEAD_BETA, AGREES_S = 1.5, 6.0, 0.1
+HEAD_HZ, HEAD_BETA, AGREES_S = 1.5, 2.0, 0.1
 """The head follows with this cut-off, and faster by this (Hz per rad) the farther away its markers agree, for this long, that it is."""
+SHRUNK, STRETCHED = 0.5, 1.5
+"""Nose and ears that are not as far apart as when the body was calibrated, by these factors, do not show where the head is turned."""
 MOST_RAD_S2 = 80.0
 """Limbs of people hardly ever turn faster or slower by more than this within a second: 1 % of the frames of motion capture at 30 Hz."""
-LEVEL, TURN, AWAY, KNOWN = 0, 1, 5, 8
-"""Places in `head` (9,): by how much its markers look up when it is level; its rotation as seen from the chest; how far the markers have
-been from that of late (3,); whether there is one."""
+FASTER, STIFFEST, LEAD_S = 16.0, 24.0, 0.05
+"""A bone that is seen follows at a rate that rises by the first for each rad/s of its turn, up to the second (1/s). Every bone is shown
+where it will be after the third, which takes back most of what it lags in motion."""
+LEVEL, TURN, AWAY, KNOWN, NOSE_M, EARS_M = 0, 1, 5, 8, 9, 10
+"""Places in `head` (11,): by how much its markers look up when it is level; its rotation as seen from the chest; how far the markers have
+been from that of late (3,); whether there is one; how far the nose is from the ears' middle, and these from each other."""
 
 
 @kernel
@@ -106,15 +113,40 @@ def clamp(chest: Samples, most: float, rotation: Samples, work: Samples) -> None
 
 
 @kernel
-def steady_head(turns: Samples, dt: float, standing: float, head: Samples, work: Samples) -> None:
+def shows_head(marks: Samples, seen: Array, standing: float, head: Samples) -> bool:
+    """Whether nose and ears show where the head is turned: they are seen, and as far apart as those of this head are."""
+    if not (seen[NOSE_AT] and seen[EAR_AT] and seen[EAR_AT + 1]):
+        return False
+    nose = ears = 0.0
+    for a in range(3):
+        nose += (marks[NOSE_AT, a] - 0.5 * (marks[EAR_AT, a] + marks[EAR_AT + 1, a])) ** 2
+        ears += (marks[EAR_AT, a] - marks[EAR_AT + 1, a]) ** 2
+    nose, ears = math.sqrt(nose), math.sqrt(ears)
+    if standing > 0.0:
+        head[NOSE_M] += (nose - head[NOSE_M]) / standing
+        head[EARS_M] += (ears - head[EARS_M]) / standing
+        return True
+    if head[NOSE_M] == 0.0 or head[EARS_M] == 0.0:
+        return True
+    nose, ears = nose / head[NOSE_M], ears / head[EARS_M]
+    return bool(min(nose, ears) > SHRUNK and max(nose, ears) < STRETCHED)
+
+
+@kernel
+def steady_head(turns: Samples, dt: float, shown: bool, standing: float, head: Samples, work: Samples) -> None:
     """Keep neck and head within what a neck can do, level when the body was calibrated, and steady while its markers are not.
 
-    standing  samples of the calibration so far; 0: not being calibrated   head (9,) what is remembered of it   work (4, 4) room
+    shown     whether markers show where the head is turned; if not, it is turned as it was, as seen from the chest
+    standing  samples of the calibration so far; 0: not being calibrated   head (11,) what is remembered of it   work (4, 4) room
     """
     chest, target, q, to = turns[UPPER_CHEST], work[0], head[TURN : TURN + 4], work[1]
     clamp(chest, NECK_MOST, turns[NECK], work[2])
     work[3, 0], work[3, 1], work[3, 2] = 0.0, 0.0, 1.0
     turn(turns[HEAD], work[3, :3], work[2, :3])
+    if not shown and head[KNOWN] > 0.0:
+        multiply(chest, q, turns[HEAD])
+        normalise(turns[HEAD])
+        return
     if standing > 0.0:
         looks = math.asin(min(max(work[2, 1], -1.0), 1.0))
         head[LEVEL] += (min(max(looks, -LEVEL_MOST), LEVEL_MOST) - head[LEVEL]) / standing
@@ -136,6 +168,34 @@ def steady_head(turns: Samples, dt: float, standing: float, head: Samples, work:
     part_way(q, target, 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt), q)
     multiply(chest, q, turns[HEAD])
     normalise(turns[HEAD])
+
+
+@kernel
+def follow_turns(
+    flags: Samples, dt: float, rest_rad_s: float, followed: Samples, speeds: Samples, turns: Samples, work: Samples
+) -> None:
+    """Let every bone follow as on a spring that is critically damped, the stiffer the faster it turns: still at rest, in time in motion.
+
+    flags     (22,)    which bones are guessed: their speed shows nothing   rest_rad_s  the rate of a bone at rest
+    followed  (22, 4)  where the springs have brought the bones; turns (22, 4) as wanted, then as taken: ahead by what the springs lag
+    speeds    (22, 3)  their angular velocity (rad/s, in the axes of the bone)   work (1, 4) room
+    """
+    for b in range(turns.shape[0]):
+        relative(followed[b], turns[b], work[0])
+        sign = -1.0 if work[0, 0] < 0.0 else 1.0
+        sine = math.sqrt(work[0, 1] ** 2 + work[0, 2] ** 2 + work[0, 3] ** 2)
+        to_angle = 2.0 * sign * math.atan2(sine, abs(work[0, 0])) / sine if sine > 1e-12 else 0.0
+        rate = rest_rad_s
+        if flags[b] == 0.0:
+            rate = max(rate, min(rate + FASTER * math.sqrt(dot(speeds[b], speeds[b])), STIFFEST))
+        left = math.exp(-rate * dt)
+        for a in range(3):
+            away = -to_angle * work[0, 1 + a]
+            pull = speeds[b, a] + rate * away
+            work[0, 1 + a] = (away + pull * dt) * left - away
+            speeds[b, a] = (speeds[b, a] - rate * pull * dt) * left
+        turn_by(followed[b], work[0, 1:], 1.0, followed[b], work[0])
+        turn_by(followed[b], speeds[b], LEAD_S, turns[b], work[0])
 
 
 @kernel

@@ -23,7 +23,6 @@ from kinegraph.operators.body.markers import Markers
 from kinegraph.operators.body.network.operator import PoseNetwork
 from kinegraph.operators.body.persons import Persons
 from kinegraph.operators.filters.one_euro import OneEuro
-from kinegraph.operators.filters.predict import Predict
 from kinegraph.operators.pose.footing import Footing
 from kinegraph.operators.pose.operator import WholePose
 from kinegraph.stream.chunk import Array, Chunk, Samples, StreamSpec
@@ -184,10 +183,9 @@ class AvatarChain:
         if network:
             first = self.markers.open({"in": self.network.open({"image": grey, "person": person})["out"]})["out"]
             marks = self.surer.open({"first": first, "second": marks})["out"]
-            for kind in (OneEuro(cutoff_hz=2.0, beta=2.0), Predict(ahead_s=0.033)):
-                marks = kind.open({"in": marks})["out"]
-                self.filters.append(kind)
-        self.pose, self.footing = WholePose(up="-y"), Footing()
+            self.filters.append(OneEuro(cutoff_hz=1.0, beta=10.0))
+            marks = self.filters[0].open({"in": marks})["out"]
+        self.pose, self.footing = WholePose(up="-y", follow_hz=1.5), Footing()
         self.footing.open(dict(self.pose.open({"in": marks})))
         seeing = [self.network, self.markers, self.surer, *self.filters] if network else []
         self.operators: list[Any] = [self.background, self.persons, self.extrema, *seeing, self.pose, self.footing]
