@@ -242,6 +242,7 @@ class Lab:
                 "page": bool(session.page),
                 "output": PAGE.sub("", session.output)[-4000:].strip(),
                 "files": [path.name for path in session.files()] if not one["runs"] else [],
+                "recorded": any(session.folder.rglob("*.mcap")),
                 "free_bytes": shutil.disk_usage(self.home).free,
                 "now_s": time.time(),
             }

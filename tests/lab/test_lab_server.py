@@ -174,7 +174,7 @@ def test_a_session_outlives_the_lab_and_the_next_lab_ends_it(tmp_path: Path) -> 
         assert second.ask("POST", f"{path}/stop", {})[0] == 200
         wait(lambda: not second.ask("GET", path)[1]["runs"])
         state = second.ask("GET", path)[1]
-        assert state["error"] == "" and state["lasted_s"] > 0
+        assert state["error"] == "" and state["lasted_s"] > 0 and state["recorded"]
         with Recording.open(tmp_path / "sessions" / made["id"]) as recording:
             assert recording.header["session"]["subject"] == "P1" and not recording.missing
             assert recording.read("annotations")[1]["text"].tolist() == ["seen"]

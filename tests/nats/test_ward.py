@@ -35,6 +35,8 @@ from kinegraph.devices.ward.site import WardSite
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.graph.reading.load import load_text
+from tests.lab.test_lab_looks import axe as axe
+from tests.lab.test_lab_looks import serious
 from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH, Command
 from tests.support.live_browser import live_browser
@@ -452,6 +454,30 @@ def test_60_beds_are_legible_in_a_browser_those_that_need_attention_first(centre
         )
         browser.wait("!document.querySelector('.alarms')")
         assert not browser.complaints
+
+
+@needs_page
+@needs_browser
+@pytest.mark.nightly
+def test_the_ward_is_accessible_light_and_dark_and_fits_a_phone(centre: Centre, axe: str, tmp_path: Path) -> None:
+    centre.beds = many(20)
+    centre.turn()
+    with served(centre) as url, live_browser(tmp_path / "browser") as browser:
+        browser.ask("Page.setBypassCSP", enabled=True)  # of what the test itself puts in
+        browser.open(f"{url}/?token=secret", 1280, 800)
+        browser.wait(
+            "document.querySelectorAll('table.beds tbody tr').length === 20 && !!document.querySelector('.alarms')"
+        )
+        assert serious(browser, axe) == []
+        themes = "document.documentElement.dataset.theme"
+        before = browser.value(themes)
+        browser.value("document.querySelector('.top .theme').click()")
+        assert {before, browser.value(themes)} == {"light", "dark"}
+        browser.picture(tmp_path / "ward-theme.png")
+        browser.size(390, 844)
+        browser.wait("innerWidth === 390")
+        assert browser.value("document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out of a phone"
+        browser.picture(tmp_path / "ward-phone.png")
 
 
 STUB = """

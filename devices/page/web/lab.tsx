@@ -9,6 +9,7 @@ import { usePolled } from "./lab_poll";
 import { Rows } from "./lab_rows";
 import { SessionView } from "./lab_session";
 import { Setup } from "./lab_setup";
+import { showTheme, ThemeButton } from "./lab_theme";
 
 function useHash(): string {
   const [hash, set] = useState(location.hash);
@@ -45,7 +46,7 @@ function App() {
           <a href="#/" aria-current={place === "" ? "page" : undefined}>Home</a>
           <a href="#/library" aria-current={place === "library" ? "page" : undefined}>Library</a>
         </nav>
-        <button type="button" class="theme" onClick={turn}>theme</button>
+        <ThemeButton />
       </header>
       <main id="main" tabindex={-1} class={place === "session" ? "within" : "sheet"}>
         {place === "setup" ? <Setup key={what} graph={what} /> : place === "session" ? <SessionView key={what} id={what} /> : place === "library" ? <Library /> : <HomeView />}
@@ -89,15 +90,6 @@ function HomeView() {
   );
 }
 
-function theme(name: string): void {
-  document.documentElement.dataset["theme"] = name;
-}
-
-function turn(): void {
-  theme(document.documentElement.dataset["theme"] === "dark" ? "light" : "dark");
-  localStorage.setItem("theme", document.documentElement.dataset["theme"] ?? "");
-}
-
 addEventListener("keydown", keys);
-theme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
+showTheme();
 render(<App />, document.getElementById("app") as HTMLElement);

@@ -14,7 +14,7 @@ export interface Source { node: string; use: string; can_simulate: boolean; give
 export interface Form { graph: string; title: string; name: string; summary: string; fields: Field[]; devices: Source[]; checks: string[] }
 export interface Found { kind: string; address: string; what: string; yaml: string; note: string; use: string; parameters: Record<string, Value> }
 export interface State extends Summary {
-  values: Record<string, Value>; page: boolean; output: string; files: string[]; free_bytes: number; now_s: number; controls: boolean;
+  values: Record<string, Value>; page: boolean; output: string; files: string[]; recorded: boolean; free_bytes: number; now_s: number; controls: boolean;
 }
 
 /** Who this browser tab is, so that one at a time controls a session. */

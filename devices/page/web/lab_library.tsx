@@ -32,7 +32,7 @@ export function Library() {
     <>
       <h1>Library</h1>
       <div class="actions">
-        <label class="inline">Find <input type="search" value={text} placeholder="subject, use, remark, date" onInput={(e) => setText(e.currentTarget.value)} /></label>
+        <label class="inline">Find <input type="search" value={text} placeholder="subject, use, date…" onInput={(e) => setText(e.currentTarget.value)} /></label>
         <span class="quiet">{found.length} of {home.sessions.length} sessions, {size(found.reduce((sum, one) => sum + one.bytes, 0))}; {size(home.free_bytes)} free</span>
       </div>
       <div class="scroll tall" tabindex={0} role="region" aria-label="sessions">

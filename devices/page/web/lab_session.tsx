@@ -146,9 +146,9 @@ function Finished({ state, path }: { state: State; path: string }) {
       <div class="actions">
         {reports.length ? <button type="button" class="primary" disabled={!!busy} onClick={() => void pdf()}>{busy === "pdf" ? "printing…" : "PDF"}</button> : null}
         {reports.length ? <a class="button" href={file(report)} target="_blank" rel="noopener">Open the report alone</a> : null}
-        <label class="inline">Export <select disabled={!!busy} value="" onChange={(e) => { const { value } = e.currentTarget; e.currentTarget.value = ""; if (value) void exported(value); }}>
+        {state.recorded ? <label class="inline">Export <select disabled={!!busy} value="" onChange={(e) => { const { value } = e.currentTarget; e.currentTarget.value = ""; if (value) void exported(value); }}>
           <option value="">{busy === "export" ? "exporting…" : "as…"}</option>{EXPORTS.map((one) => <option key={one} value={one}>{one}</option>)}
-        </select></label>
+        </select></label> : null}
         {state.kind === "mvc" ? <button type="button" class="primary" disabled={!!busy} onClick={() => void reference()}>{busy === "mvc" ? "computing…" : "Use as the reference"}</button> : null}
         {state.graph ? <button type="button" onClick={repeat}>Once more with these settings</button> : null}
       </div>
@@ -156,9 +156,9 @@ function Finished({ state, path }: { state: State; path: string }) {
       <Remarks state={state} path={path} />
       {state.kind !== "import" ? <Compare state={state} path={path} done={show} /> : null}
       {reports.length > 1 ? <div class="choice">{reports.map((name) => <button type="button" key={name} aria-pressed={name === report} onClick={() => show(name)}>{name.replace(/\.html$/, "")}</button>)}</div> : null}
-      {report ? <iframe class="report" src={file(report)} title="report" sandbox="" /> : <p class="quiet">{state.error ? "" : "This graph writes no report."}</p>}
+      {report ? <iframe class="report" src={file(report)} title="report" sandbox="" /> : <p class="quiet">{state.error ? "" : "No report: this use writes none, or the session was too short for one."}</p>}
       {state.files.length ? <details class="more"><summary>files ({state.files.length})</summary><ul class="plain">{state.files.map((name) => <li key={name}><a href={file(name, true)} download={name}>{name}</a></li>)}</ul></details> : null}
-      {state.graph ? <Again state={state} path={path} /> : null}
+      {state.graph && state.recorded ? <Again state={state} path={path} /> : null}
       <Delete path={path} />
     </div>
   );

@@ -4,6 +4,7 @@ import { render } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { send, size } from "./lab_api";
 import { usePolled } from "./lab_poll";
+import { showTheme, ThemeButton } from "./lab_theme";
 
 type Level = "alarm" | "attention" | "note" | "well";
 interface Order { id?: string; state?: string; text?: string }
@@ -36,6 +37,7 @@ function App() {
       <header class="top">
         <a class="brand" href="#/">kinegraph ward</a>
         {place === "bed" ? <nav aria-label="ward"><a href="#/">all beds</a></nav> : null}
+        <ThemeButton />
       </header>
       <main id="main" tabindex={-1} class={place === "bed" ? "within" : "sheet wide"}>{place === "bed" ? <BedView key={bed} bed={bed} /> : <Beds />}</main>
     </>
@@ -123,8 +125,10 @@ function Alarms({ alarms, done }: { alarms: Alarm[]; done: () => void }) {
           </li>
         ))}
       </ul>
-      {alarms.length > 3 ? <button type="button" onClick={() => showAll(!all)}>{all ? "show three" : `show all ${alarms.length}`}</button> : null}
-      {alarms.length > 1 ? <button type="button" onClick={() => acknowledge(alarms.map((one) => one.id))}>acknowledge all</button> : null}
+      <div class="actions">
+        {alarms.length > 3 ? <button type="button" onClick={() => showAll(!all)}>{all ? "show three" : `show all ${alarms.length}`}</button> : null}
+        {alarms.length > 1 ? <button type="button" onClick={() => acknowledge(alarms.map((one) => one.id))}>acknowledge all</button> : null}
+      </div>
     </section>
   );
 }
@@ -185,4 +189,5 @@ function Orders({ beds, done }: { beds: string[]; done: () => void }) {
 }
 
 const app = document.getElementById("app");
-if (app) render(<App />, app);
+if (app) showTheme();
+render(<App />, app);

@@ -30,6 +30,11 @@ export class WeeksPanel extends Panel {
     this.body.append(make("div", { class: "scroll" }, this.table));
   }
 
+  /** The note says that there is no night yet. */
+  protected override get waits(): boolean {
+    return false;
+  }
+
   draw(): void {
     const count = this.streams.reduce((sum, stream) => sum + stream.count, 0);
     if (count !== this.known) {
