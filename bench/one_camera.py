@@ -27,7 +27,7 @@ from kinegraph.operators.body.camera.image_pose import ImagePose
 from kinegraph.operators.body.camera.one_camera import OneCamera
 from kinegraph.operators.body.names import LANDMARKS, MARKERS
 from kinegraph.stream.chunk import NS, Chunk, StreamSpec
-from kinegraph.stream.domain.axes import CAMERA
+from kinegraph.stream.domain.axes import CAMERA, Axes
 
 JOINTS = [
     f"{side}_{name}" for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for side in ("left", "right")
@@ -36,6 +36,8 @@ LANDMARK, MARKER = [LANDMARKS.index(name) for name in JOINTS], [MARKERS.index(na
 HIPS = [JOINTS.index("left_hip"), JOINTS.index("right_hip")]
 CALIBRATED_WIDTH = 1088
 AGREE_PX = 30.0
+Run = tuple[np.ndarray, np.ndarray, np.ndarray]
+Known = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def through(
@@ -108,17 +110,14 @@ def triangulated(
 def errors(markers: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Distances (n, 12) in m with both at one root; NaN where either is not known."""
     found = markers[:, MARKER]
-    return np.linalg.norm(
-        (found - found[:, HIPS].mean(1, keepdims=True)) - (truth - truth[:, HIPS].mean(1, keepdims=True)), axis=2
-    )
+    off = (found - found[:, HIPS].mean(1, keepdims=True)) - (truth - truth[:, HIPS].mean(1, keepdims=True))
+    return np.asarray(np.linalg.norm(off, axis=2))
 
 
-def flexion(places: np.ndarray) -> dict[str, np.ndarray]:
-    """Knee and hip flexion (degrees) of joints (n, 12, 3) in a camera's axes."""
+def flexion(places: np.ndarray, axes: Axes = CAMERA) -> dict[str, np.ndarray]:
+    """Knee and hip flexion (degrees) of joints (n, 12, 3)."""
     operator = JointAngles()
-    spec = StreamSpec(
-        (len(JOINTS), 3), rate_hz=60.0, channels=tuple(JOINTS), units=("m",), meta={"axes": CAMERA.facts()}
-    )
+    spec = StreamSpec((len(JOINTS), 3), rate_hz=60.0, channels=tuple(JOINTS), units=("m",), meta={"axes": axes.facts()})
     names = operator.open({"in": spec})["out"].channels
     times = np.arange(len(places)) * (NS // 60)
     made = operator.process(
@@ -129,7 +128,8 @@ def flexion(places: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def walk(folder: Path, width: int, height_m: float) -> None:
+def four_cameras(folder: Path, width: int, height_m: float) -> tuple[list[Run], list[Known], np.ndarray, float]:
+    """What each camera alone makes of the walk, the cameras, the joints (n, 12, 3) in the room that all four show, and the rate."""
     demo = folder / "Demo_SinglePerson"
     known = list(cameras(next((demo / "calibration").glob("*.qca.txt"))))
     clips = [video(path, width) for path in sorted((demo / "videos").glob("*.mp4"))]
@@ -137,7 +137,7 @@ def walk(folder: Path, width: int, height_m: float) -> None:
         through(images, rate, tuple((lens / scale).tolist()), height_m)
         for (images, rate, scale), (lens, _, _) in zip(clips, known, strict=True)
     ]
-    scale = clips[0][2]
+    _, rate, scale = clips[0]
     lenses, turns, moves = (np.array(part) for part in zip(*known, strict=True))
     n = min(len(run[0]) for run in runs)
     truth, off = np.full((n, len(JOINTS), 3), np.nan), np.full((n, len(JOINTS)), np.inf)
@@ -145,6 +145,12 @@ def walk(folder: Path, width: int, height_m: float) -> None:
         seen = np.array([run[0][i][LANDMARK][:, [0, 1, 3]] * [scale, scale, 1.0] for run in runs])
         truth[i], off[i] = triangulated(seen, lenses, turns, moves)
     truth[off > AGREE_PX] = np.nan
+    return runs, known, truth, rate
+
+
+def walk(folder: Path, width: int, height_m: float) -> None:
+    runs, known, truth, _ = four_cameras(folder, width, height_m)
+    n = len(truth)
     agree = 100 * np.isfinite(truth[..., 0]).mean()
     print(f"\nfour calibrated videos of a person who walks, {n} frames; {agree:.0f} % of the joints agree\n")
     print(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from fractions import Fraction
 from pathlib import Path
 
@@ -55,6 +56,17 @@ def played(source: Video) -> object:
     return feed
 
 
+def turned(path: Path, to: Path, a: int, b: int, c: int, d: int) -> Path:
+    """The same file as a telephone writes it that was held otherwise: the track's matrix shows (x, y) at (ax + cy, bx + dy)."""
+    raw = path.read_bytes()
+    plain = struct.pack(">9i", 1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+    at = raw.index(plain, raw.index(b"tkhd"))
+    to.write_bytes(
+        raw[:at] + struct.pack(">9i", a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30) + raw[at + 36 :]
+    )
+    return to
+
+
 @pytest.mark.quick
 def test_a_file_has_its_own_size_rate_and_times(whole: Path) -> None:
     source = Video(str(whole), realtime=False)
@@ -92,6 +104,25 @@ def test_pictures_are_made_as_large_as_the_graph_says_and_are_not_squeezed(whole
 def test_a_mirror_exchanges_left_and_right(whole: Path) -> None:
     plain, mirrored = (played(Video(str(whole), mirror=m, realtime=False)).data("image")[9] for m in (False, True))
     assert np.array_equal(plain[:, ::-1], mirrored) and plain[:, 8].mean() > plain[:, -8].mean()
+
+
+@pytest.mark.parametrize("matrix", [(0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0)])
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_telephones_film_is_shown_upright(
+    whole: Path, tmp_path: Path, matrix: tuple[int, int, int, int], mirror: bool
+) -> None:
+    source = Video(str(turned(whole, tmp_path / "turned.mp4", *matrix)), mirror=mirror, realtime=False)
+    plain = played(Video(str(whole), realtime=False)).data("image")[9]
+    a, b, c, d = matrix
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    across, down = a * x + c * y, b * x + d * y
+    shown = np.zeros(source.specs()["image"].shape, np.uint8)
+    shown[down - down.min(), across - across.min()] = plain
+    assert shown.shape == ((WIDTH, HEIGHT, 3) if b else (HEIGHT, WIDTH, 3))
+    made = played(source).data("image")
+    assert np.array_equal(made[9], shown[:, ::-1] if mirror else shown) and len(made) == 20
+    if b:
+        assert Video(source.url, width=24).specs()["image"].shape == (32, 24, 3)
 
 
 def test_a_file_that_is_no_video_is_refused_before_the_session(tmp_path: Path) -> None:
