@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 from fractions import Fraction
 from pathlib import Path
@@ -175,6 +176,52 @@ def test_the_simulated_camera_shows_what_its_number_says() -> None:
 def test_what_is_missing_is_named() -> None:
     assert "nothing answers at 127.0.0.1:9" in Video("http://127.0.0.1:9/video").missing()
     assert "there is no webcam /dev/video77" in Video("/dev/video77").missing()
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.EACCES, "no permission: sudo usermod -aG video"),
+        (errno.EBUSY, "another program has it open; close that one first"),
+        (errno.ENODEV, "it is not connected"),
+        (errno.EINVAL, "it does not offer this size or rate"),
+    ],
+)
+def test_a_webcam_is_asked_for_its_size_and_rate_and_a_refusal_names_what_helps(
+    monkeypatch: pytest.MonkeyPatch, number: int, remedy: str
+) -> None:
+    asked: list[tuple[str, dict[str, object]]] = []
+
+    def refuse(url: str, **given: object) -> None:
+        asked.append((url, given))
+        raise OSError(number, "the kernel's words", url)
+
+    monkeypatch.setattr(av, "open", refuse)
+    with reading(Video("/dev/video3", width=1280, height=720, fps=29.97, lost_after_s=2.0)) as feed:
+        wait_for(lambda: feed.error is not None)
+    assert isinstance(feed.error, DeviceError) and remedy in str(feed.error)
+    options = {"video_size": "1280x720", "framerate": "29.97"}
+    assert asked == [("/dev/video3", {"format": "v4l2", "options": options, "timeout": (5.0, 2.0)})]
+
+
+def test_a_webcam_that_is_gone_is_named_as_such() -> None:
+    with reading(Video("/dev/video77")) as feed:
+        wait_for(lambda: feed.error is not None)
+    assert str(feed.error) == "/dev/video77 cannot be opened as a video (it is not connected)"
+
+
+def test_a_webcams_exposure_is_fixed_by_the_kernels_controls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """videodev2.h: VIDIOC_S_CTRL takes a control's number and value; exposure is in units of 100 µs, and 1 is manual."""
+    asked = []
+    monkeypatch.setattr(
+        "fcntl.ioctl", lambda camera, request, given: asked.append((request, *struct.unpack("=Ii", given)))
+    )
+    (tmp_path / "video0").touch()
+    container.set_exposure(str(tmp_path / "video0"), 8.0)
+    assert asked == [(0xC008561C, 0x009A0901, 1), (0xC008561C, 0x009A0902, 80)]
+    monkeypatch.undo()
+    with pytest.raises(DeviceError, match="does not take exposure_ms: 8"):
+        container.set_exposure(str(tmp_path / "video0"), 8.0)
 
 
 def test_webcams_are_listed_by_the_kernels_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

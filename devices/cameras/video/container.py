@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import socket
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,9 +23,19 @@ from kinegraph.stream.system.extras import optional
 
 WEBCAMS = Path("/sys/class/video4linux")
 PORTS = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443}
-OPEN_S, READ_S = 5.0, 5.0
+OPEN_S = 5.0
 UNTIMED = ("mpjpeg", "mjpeg")
 """Formats of live pictures without times: the library numbers their frames at a rate of its own."""
+SET_CONTROL, EXPOSURE_AUTO, EXPOSURE_ABSOLUTE = 0xC008561C, 0x009A0901, 0x009A0902
+"""V4L2's VIDIOC_S_CTRL, and two of its controls; the second is in units of 100 µs."""
+REMEDIES = {
+    errno.EACCES: "no permission: sudo usermod -aG video $USER, then log in again",
+    errno.EBUSY: "another program has it open; close that one first",
+    errno.ENOENT: "it is not connected",
+    errno.ENODEV: "it is not connected",
+    errno.EINVAL: "it does not offer this size or rate; v4l2-ctl --list-formats-ext shows what it offers",
+}
+"""By error number, of webcams."""
 EVEN = 0.35
 """A file whose frames are off an even grid by more than this share of a period has no fixed rate."""
 
@@ -69,8 +81,11 @@ def unreachable(url: str) -> str:
 
 
 @contextmanager
-def opened(url: str, width: int, height: int, fps: float) -> Iterator[tuple[Any, bool]]:
-    """The container, and whether its frames bring times. A webcam is asked for this size and rate. Raises DeviceError."""
+def opened(url: str, width: int, height: int, fps: float, silent_s: float = 5.0) -> Iterator[tuple[Any, bool]]:
+    """The container, and whether its frames bring times. A webcam is asked for this size and rate. Raises DeviceError.
+
+    silent_s: a camera that gives nothing for so long is gone.
+    """
     av = library()
     webcam, address = is_webcam(url), is_address(url)
     options: dict[str, str] = {}
@@ -80,10 +95,13 @@ def opened(url: str, width: int, height: int, fps: float) -> Iterator[tuple[Any,
         options = {"fflags": "nobuffer", "rtsp_transport": "tcp"}
     try:
         container = av.open(
-            url, format="v4l2" if webcam else None, options=options, timeout=(OPEN_S, READ_S) if address else None
+            url,
+            format="v4l2" if webcam else None,
+            options=options,
+            timeout=(OPEN_S, silent_s) if webcam or address else None,
         )
     except (av.error.FFmpegError, OSError, ValueError) as error:
-        raise DeviceError(f"{url} cannot be opened as a video ({reason(error)})") from None
+        raise DeviceError(f"{url} cannot be opened as a video ({reason(error, webcam=webcam)})") from None
     try:
         if not container.streams.video:
             raise DeviceError(f"{url} holds no pictures")
@@ -95,8 +113,24 @@ def opened(url: str, width: int, height: int, fps: float) -> Iterator[tuple[Any,
         container.close()
 
 
-def reason(error: Exception) -> str:
-    """What went wrong, in PyAV's words and without its numbers."""
+def set_exposure(device: str, exposure_ms: float) -> None:
+    """Fix how long a webcam gathers light for a frame, by V4L2's controls. Raises DeviceError."""
+    import fcntl
+
+    manual, tenths_of_ms = 1, max(1, round(10 * exposure_ms))
+    try:
+        with Path(device).open("rb", buffering=0) as camera:
+            fcntl.ioctl(camera, SET_CONTROL, struct.pack("=Ii", EXPOSURE_AUTO, manual))
+            fcntl.ioctl(camera, SET_CONTROL, struct.pack("=Ii", EXPOSURE_ABSOLUTE, tenths_of_ms))
+    except OSError as error:
+        raise DeviceError(f"{device} does not take exposure_ms: {exposure_ms:g} ({reason(error)})") from None
+
+
+def reason(error: Exception, *, webcam: bool = False) -> str:
+    """What went wrong, in PyAV's words and without its numbers; of a webcam also what helps."""
+    code = getattr(error, "errno", None)
+    if webcam and code in REMEDIES:
+        return REMEDIES[code]
     text = getattr(error, "strerror", None) or str(error)
     return str(text).strip() or type(error).__name__
 

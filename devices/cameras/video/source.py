@@ -46,6 +46,7 @@ class Video(Source):
     width: int = param(0, least=0, most=4096, help="pixels in a row; 0: 640 of a camera, at most 640 of a file")
     height: int = param(0, least=0, most=4096, help="rows; 0: 480 of a camera, a file's own shape")
     fps: float = param(30.0, above=0.0, most=240.0, help="frames per second of a camera; a file has its own")
+    exposure_ms: float = param(0.0, least=0.0, most=1000.0, help="of a webcam; 0: as the camera chooses")
     mirror: bool = param(False, help="exchange left and right, as a mirror does: for a person who looks at it only")
     field_of_view_deg: float = param(0.0, least=0.0, most=170.0, help="from side to side; 0: 60 degrees, nominal")
     intrinsics: tuple[float, ...] = param((), least=0.0, help="fx, fy, cx, cy in pixels, of a calibration")
@@ -122,7 +123,9 @@ class Video(Source):
 
     def read(self, feed: Feed) -> None:
         url, (width, height) = self.address(), self.size()
-        with container.opened(url, width, height, self.fps) as (opened, timed):
+        with container.opened(url, width, height, self.fps, self.lost_after_s) as (opened, timed):
+            if self.exposure_ms and container.is_webcam(url):
+                container.set_exposure(url, self.exposure_ms)
             stream = opened.streams.video[0]
             codec = str(stream.codec_context.name)
             feed.identify("video", url=without_password(url), codec=codec, width=stream.width, height=stream.height)
