@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +21,12 @@ from kinegraph.stream.system.extras import optional
 MAX_FRAMES = 65_535
 MAX_EVENTS = 255
 NEAR = 1e-6
+CONTACTS = {"touchdown": "Foot Strike", "liftoff": "Foot Off"}
+"""What other programs call the events of a foot."""
+PLANES = {
+    "flexion": 0, "tilt": 0, "plane": 0, "adduction": 1, "obliquity": 1, "lateral": 1, "elevation": 1, "rotation": 2,
+}  # fmt: skip
+"""Which of a joint's three numbers an angle is."""
 
 
 def _c3d(wanted: Export) -> list[Written]:
@@ -34,6 +42,9 @@ def _c3d(wanted: Export) -> list[Written]:
     shown = [the_one(markers, "a C3D file", "markers")] if markers else []
     grids = on_grids([*shown, *signals], resample=wanted.resample)
     frame_rate, start, points = (grids[0].rate_hz, grids[0].start, grids[0].data) if shown else _no_points(grids)
+    angles = [
+        grid for grid in grids[len(shown) :] if _is_angles(grid) and abs(grid.rate_hz - frame_rate) < NEAR * frame_rate
+    ]
     made = ezc3d.c3d()
     made["parameters"]["POINT"]["RATE"]["value"] = [frame_rate]
     frames = points.shape[0]
@@ -47,17 +58,48 @@ def _c3d(wanted: Export) -> list[Written]:
             points, axes = _turned(points, axes), BODY
         for name, way in (("X_SCREEN", axes.forward or USUAL_FORWARD[axes.up]), ("Y_SCREEN", axes.up)):
             made.add_parameter("POINT", name, [f"+{way}".upper().replace("+-", "-")])
+    if angles:
+        points, labels = _with_angles(made, points, labels, angles, start)
     held = np.ones((4, len(labels), frames))
     held[:3] = points.transpose(2, 1, 0) if labels else 0.0
     made["data"]["points"] = held
     made["data"]["meta_points"]["residuals"] = np.where(np.isnan(held[:3]).any(axis=0), -1.0, 0.0)[None]
-    _analogs(made, grids[len(shown) :], frame_rate, start, frames)
+    analogs = [grid for grid in grids[len(shown) :] if all(grid is not one for one in angles)]
+    _analogs(made, analogs, frame_rate, start, frames)
     _c3d_events(made, streams, start)
     with complete(wanted.place) as draft, TemporaryDirectory() as folder:
         made.write(str(copy := Path(folder, "made.c3d")))
         draft.write_bytes(copy.read_bytes())
     taken = [*markers, *signals, *(one for one in streams if one.spec.is_event)]
     return [(one.name, wanted.place, len(one.time)) for one in taken]
+
+
+def _is_angles(grid: GriddedStream) -> bool:
+    """Angles of joints, as operators.angles names them: "LKnee.flexion"."""
+    return grid.stream.spec.units == ("deg",) and all(
+        label.rpartition(".")[2] in PLANES for label in grid.stream.labels
+    )
+
+
+def _with_angles(
+    made: Any, points: Samples, labels: list[str], angles: list[GriddedStream], start: int
+) -> tuple[Samples, list[str]]:
+    """Points (n, m, 3) with angles beside the markers, as laboratories' programs write them: one point LKneeAngles of three degrees."""
+    joints = list(dict.fromkeys(label.rpartition(".")[0] for grid in angles for label in grid.stream.labels))
+    added = np.zeros((len(points), len(joints), 3))
+    for grid in angles:
+        shift = round((grid.start - start) * grid.rate_hz / NS)
+        into = slice(max(0, shift), min(len(points), shift + len(grid.data)))
+        for k, label in enumerate(grid.stream.labels):
+            joint, _, angle = label.rpartition(".")
+            part = added[:, joints.index(joint), PLANES[angle]]
+            part[:] = np.nan
+            part[into] = grid.data[into.start - shift : into.stop - shift, k]
+    names = [f"{joint}Angles" for joint in joints]
+    made.add_parameter("POINT", "ANGLES", names)
+    made.add_parameter("POINT", "ANGLE_UNITS", ["deg"])
+    made["parameters"]["POINT"]["LABELS"]["value"] = [*labels, *names]
+    return np.concatenate([points, added], axis=1), [*labels, *names]
 
 
 def _no_points(signals: list[GriddedStream]) -> tuple[float, int, Samples]:
@@ -96,11 +138,27 @@ def _analogs(made: object, signals: list[GriddedStream], frame_rate: float, star
 
 
 def _c3d_events(made: object, streams: list[Gathered], start: int) -> None:
-    for onset, _, label, side in events_of(streams)[:MAX_EVENTS]:
+    """Events, with the leg where they have one; numbers of single channels (a row each per cycle) are no events and would fill the list."""
+    kept = [one for one in streams if not {"number", "name"} <= set(one.spec.dtype.names or ())]
+    for onset, _, label, side in _by_limb(kept)[:MAX_EVENTS]:
         seconds = (onset - start) / NS
         plain = re.sub(rf"(?i)^{side}\s+", "", label) if side else label
+        plain = CONTACTS.get(plain, plain) if side else plain
         time = [int(seconds // 60), seconds % 60]
         made.add_event(time=time, context=side.capitalize() or "General", label=plain)  # type: ignore[attr-defined]
+
+
+def _by_limb(streams: list[Gathered]) -> list[tuple[int, int | None, str, str]]:
+    """`events_of` these streams, those of both legs with the leg of each event."""
+    parts = []
+    for one in streams:
+        limbs = one.data["limb"] if "limb" in (one.spec.dtype.names or ()) else None
+        for limb in [None] if limbs is None else sorted(set(limbs.tolist())):
+            mine = slice(None) if limb is None else limbs == limb
+            part = replace(one, time=one.time[mine], data=one.data[mine])
+            found = events_of([part])
+            parts += [(*event[:3], limb) if limb in ("left", "right") else event for event in found]
+    return sorted(parts, key=lambda event: event[0])
 
 
 def _turned(points: Samples, axes: Axes) -> Samples:

@@ -134,6 +134,39 @@ def test_c3d(tmp_path: Path, walk: dict[str, Series]) -> None:
         export(tmp_path, "all.c3d")
 
 
+def test_joint_angles_are_in_a_c3d_file_as_laboratories_have_them(tmp_path: Path, walk: dict[str, Series]) -> None:
+    """One point of three degrees per joint beside the markers, and the feet's events with their leg; rows per channel are no events."""
+    names = ("Pelvis.tilt", "LKnee.flexion", "LKnee.adduction", "LKnee.rotation", "LAnkle.flexion", "LAnkle.rotation")
+    data = np.random.default_rng(6).normal(0, 20, (200, 6))
+    data[10] = np.nan
+    spec = StreamSpec((6,), rate_hz=100.0, channels=names, units=("deg",))
+    both = np.array([(START + NS, "left"), (START + 3 * NS // 2, "right")], [("onset", "<i8"), ("limb", "<U16")])
+    rows = np.zeros(3, [("onset", "<i8"), ("number", "<i8"), ("name", "<U16")])
+    rows["onset"], rows["name"] = START + NS, ["LKnee.flexion", "RKnee.flexion", "Pelvis.tilt"]
+    made = [
+        walk["markers"],
+        Series("walk.angles", spec, grid(100.0, 200, START), data),
+        Series("feet.touchdown", StreamSpec((), both.dtype, units=("ns", "")), both["onset"].copy(), both),
+        Series("walk.statistics", StreamSpec((), rows.dtype, units=("ns", "", "")), rows["onset"].copy(), rows),
+    ]
+    write_recording(tmp_path / "angles.mcap", made, {"graph": "", "session": {}})
+    kinegraph("files", "export", tmp_path / "angles.mcap", "-o", tmp_path / "angles.c3d")
+    found = ezc3d.c3d(str(tmp_path / "angles.c3d"))
+    labels = found["parameters"]["POINT"]["LABELS"]["value"]
+    assert (
+        labels[3:] == ["PelvisAngles", "LKneeAngles", "LAnkleAngles"] == found["parameters"]["POINT"]["ANGLES"]["value"]
+    )
+    points = found["data"]["points"][:3].transpose(2, 1, 0)
+    np.testing.assert_allclose(points[:, 4], data[:, 1:4], rtol=1e-5)
+    np.testing.assert_allclose(np.delete(points, 10, 0)[:, 5, [0, 2]], np.delete(data, 10, 0)[:, 4:], rtol=1e-5)
+    assert found["parameters"]["ANALOG"]["USED"]["value"][0] == 0
+    events = found["parameters"]["EVENT"]
+    times = events["TIMES"]["value"][1].round(3).tolist()
+    assert list(zip(events["CONTEXTS"]["value"], events["LABELS"]["value"], times, strict=True)) == [
+        ("Left", "Foot Strike", 1.0), ("Right", "Foot Strike", 1.5),
+    ]  # fmt: skip
+
+
 def test_opensim(tmp_path: Path, walk: dict[str, Series]) -> None:
     back = again(export(tmp_path, "walk.trc"))["markers"]
     np.testing.assert_allclose(back.data, walk["markers"].data, rtol=1e-9)

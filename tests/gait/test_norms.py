@@ -96,6 +96,11 @@ def test_a_cycle_within_its_band_is_furthest_from_it_nowhere(tmp_path: Path) -> 
     assert len(rows) > 10 and not rows["beyond"].any() and np.isnan(rows["furthest_pct"]).all()
 
 
+def test_without_a_table_there_are_no_bands() -> None:
+    made = drive(NormativeBands(), some_cycles(20, 3, 4))
+    assert np.isnan(made["low"][2]).all() and np.isnan(made["high"][2]).all() and not len(made["against"][2])
+
+
 GRAPH = """
 nodes:
   treadmill: {use: devices.people.treadmill.Treadmill, muscles: [TA, SO], realtime: false, duration_s: 16}

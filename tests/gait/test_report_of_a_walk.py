@@ -11,9 +11,10 @@ import pytest
 
 from kinegraph.devices.reports.session.compose import compose
 from kinegraph.devices.reports.session.contents.cycle_store import circular
-from kinegraph.devices.reports.session.contents.data import Grid, Report
-from kinegraph.devices.reports.session.contents.grids import _bursts
+from kinegraph.devices.reports.session.contents.data import Grid, LimbPanel, Report
+from kinegraph.devices.reports.session.contents.grids import _beside, _bursts
 from kinegraph.devices.reports.session.contents.groups import Groups
+from kinegraph.devices.reports.session.contents.labels import column
 from kinegraph.devices.reports.session.contents.tally import Tally, add_chunk, nothing_yet
 from kinegraph.devices.reports.session.page import render
 from kinegraph.operators.cycles.statistics.bursts import CycleBursts
@@ -100,3 +101,33 @@ def test_no_number_is_minus_nothing_and_microvolts_are_printed_with_the_micro_si
     groups.burst_names, groups.bursts = ["TA"], [np.array([9, 1.0, 18.0, -0.0, 52.0, -0.0, 34.0, -0.0])]
     assert _bursts(groups, ["TA"]).rows == [["TA", "9", "1.0", "18 ± 0", "52 ± 0", "34 ± 0"]]
     assert circular(np.array([18.0, 18.0]))[1] == 0.0
+
+
+def test_angles_of_both_legs_are_compared_at_the_same_percentage_and_in_degrees() -> None:
+    """A ratio of angles means nothing: they have two signs. So ranges, and by how many degrees one leg differs from the other."""
+    left = 20.0 * np.sin(np.linspace(0, 2 * np.pi, 100, endpoint=False))
+    right = left.copy()
+    right[40] += 5.0
+    mean = np.stack([left, right, np.full(100, np.nan)], axis=1)
+    panels = [
+        LimbPanel("Knee.flexion", [0, 1], ["left", "right"]),
+        LimbPanel("Elbow.flexion", [0, 2], ["left", "right"]),
+    ]
+    grid = _beside(panels, mean)
+    assert grid.title == "Left beside right" and [heading for heading, _ in grid.columns][1] == "left, from to"
+    assert grid.rows == [
+        ["Knee.flexion", "-20.0 to 20.0", "-20.0 to 20.0", "40.0", "40.0", "0.5", "+5.0 at 40 %"]
+    ]  # fmt: skip
+
+
+def test_what_only_amplitudes_have_is_not_printed_of_angles() -> None:
+    def statistics(unit: str) -> StreamSpec:
+        return StreamSpec(
+            (), np.dtype([("peak", "<f8"), ("integrated", "<f8"), ("cv_pct", "<f8")]), units=(unit, f"{unit} s", "%")
+        )
+
+    shown = {
+        unit: [field for field in ("peak", "integrated", "cv_pct") if column(field, statistics(unit))]
+        for unit in ("deg", "uV")
+    }
+    assert shown == {"deg": ["peak"], "uV": ["peak", "integrated", "cv_pct"]}

@@ -122,7 +122,7 @@ def _alarms(tally: Tally) -> list[Noticed]:
 def _hanging(tally: Tally, specs: Specs) -> tuple[list[tuple[str, float]], float]:
     """Muscles with means in stance and swing that contacts which are off would change by much, and by how much (%); how far off (ms)."""
     statistics = specs.get("statistics")
-    if "contact_pct" not in numbers(statistics) or statistics is None:
+    if "contact_pct" not in numbers(statistics) or statistics is None or labels.is_angle(statistics):
         return [], 0.0
     percent = tally.fields[numbers(statistics).index("contact_pct")].centre()
     much = [(name, float(p)) for name, p in zip(specs["cycles"].channels, percent, strict=True) if p > MUCH_PCT]

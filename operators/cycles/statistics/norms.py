@@ -58,7 +58,7 @@ class NormativeBands(Operator[NormativeBandsState]):
     inputs = {"closed": Input(), "cycles": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("low", "high", "against")
 
-    file: str = param(help="the table with the bands")
+    file: str = param("", help="the table with the bands; left out: there are no bands")
     sds: float = param(2.0, above=0.0, help="of mean and sd: how many sd a band reaches to each side")
 
     def open(self, specs: Specs) -> Specs:
@@ -66,7 +66,7 @@ class NormativeBands(Operator[NormativeBandsState]):
         unit = spec.units[0] if len(spec.units) == 1 else ""
         low, high = (np.full((POINTS, spec.shape[1]), np.nan) for _ in range(2))
         try:
-            found, bands = read_bands(Path(self.file), self.sds)
+            found, bands = read_bands(Path(self.file), self.sds) if self.file else (unit, {})
         except KinegraphError as error:
             raise ParameterError("file", self.file, f"a table of bands: {error}") from None
         if found != unit:
@@ -78,7 +78,7 @@ class NormativeBands(Operator[NormativeBandsState]):
             band = bands.get(channel, bands.get(muscles.get(channel, channel)))
             if band is not None:
                 low[:, i], high[:, i] = band
-        if np.isnan(low).all():
+        if self.file and np.isnan(low).all():
             raise ParameterError("file", ", ".join(bands), f"bands of these muscles: {', '.join(spec.channels)}")
         state = NormativeBandsState(
             Expected.empty(specs["closed"].dtype), low, high, Belonging.of(spec), list(spec.channels)

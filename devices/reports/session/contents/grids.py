@@ -11,7 +11,7 @@ from kinegraph.devices.reports.session.contents.data import Grid, LimbPanel, Rep
 from kinegraph.devices.reports.session.contents.groups import Groups
 from kinegraph.devices.reports.session.contents.running import Running
 from kinegraph.devices.reports.session.contents.tally import Tally, numbers
-from kinegraph.stream.chunk import Specs
+from kinegraph.stream.chunk import Samples, Specs
 
 SHOWN = ("peak", "mean")
 """What the table of stages shows of a muscle; the CSV file has the rest."""
@@ -20,6 +20,10 @@ SYMMETRY = (
     "Symmetry index of Robinson (1987): 100 × (X2 − X1) / half of their sum, X1 the {0} limb, X2 the {1} limb, of neighbouring cycles: 0 is"
     " alike, positive: {1} is larger. Mean over the session with its 95 % interval (Student's t); strides are taken as independent,"
     " which walking is only in part. Amplitudes that are not normalised compare electrodes, too."
+)
+BESIDE = (
+    "Mean curves of both at the same percentage of each limb's own cycle: lowest and highest point, range, and by how much {1} differs from"
+    " {0} (root mean square over the cycle, and where it is most)."
 )
 BURSTS = (
     "When a muscle is active, by a double threshold with hysteresis (Hodges and Bui 1996; thresholds under Settings). Onset, offset and"
@@ -67,7 +71,15 @@ def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
         report.footfalls = list(zip(groups.feet, phases, duties, strict=True))
         report.grids.append(_footfalls(groups))
     if groups.indices:
-        report.grids.append(_symmetry(groups, [str(name) for name in specs["symmetry"].meta.get("pair", ("", ""))]))
+        if labels.is_angle(spec) and len(limbs) == 2:
+            report.grids.append(_beside(report.panels, tally.curve.centre()))
+        report.grids.append(
+            _symmetry(
+                groups,
+                [str(name) for name in specs["symmetry"].meta.get("pair", ("", ""))],
+                angles=labels.is_angle(spec),
+            )
+        )
     if groups.burst_names:
         report.grids.append(_bursts(groups, spec.channels))
     if tally.each_burst.seen:
@@ -83,7 +95,7 @@ def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
         report.grids.append(grid)
         report.modes = [tally.peaks.of(name).tolist() for name in spec.channels]
     if "low" in specs and "high" in specs:
-        report.grids.append(_norms(tally, specs))
+        report.grids += [_norms(tally, specs)] if np.isfinite(tally.norms).any() else []
     if tally.typed.count:
         report.grids.append(tally.typed.grid(max(tally.started, 0)))
     if groups.stages:
@@ -147,10 +159,38 @@ def _footfalls(groups: Groups) -> Grid:
     return Grid("Footfalls", note, [("Limb", ""), ("Phase", "% of stride"), ("Duty factor", "%")], rows)
 
 
-def _symmetry(groups: Groups, pair: list[str]) -> Grid:
+def _beside(panels: Sequence[LimbPanel], mean: Samples) -> Grid:
+    """Two limbs' mean curves of angles at the same percentage of each one's own cycle."""
+    rows, names = [], next(panel.limbs for panel in panels if len(panel.limbs) == 2)
+    for panel in panels:
+        curves = mean[:, panel.channels]
+        if len(panel.channels) != 2 or np.isnan(curves).any():
+            continue
+        ends = [f"{low:z.1f} to {high:z.1f}" for low, high in zip(curves.min(0), curves.max(0), strict=True)]
+        spans, apart = np.ptp(curves, axis=0), curves[:, 1] - curves[:, 0]
+        most = int(np.abs(apart).argmax())
+        rows.append([
+            panel.name, *ends, *(f"{span:.1f}" for span in spans), f"{np.sqrt(np.mean(apart**2)):.1f}", f"{apart[most]:+.1f} at {most} %",
+        ])  # fmt: skip
+    columns = [
+        ("Angle", ""),
+        *((f"{name}, from to", "deg") for name in names),
+        *((f"{name}, range", "deg") for name in names),
+    ]
+    return Grid(
+        "Left beside right" if list(names) == ["left", "right"] else "Limb beside limb",
+        BESIDE.format(*names),
+        [*columns, ("Apart, RMS", "deg"), ("Most", "deg")],
+        rows,
+    )
+
+
+def _symmetry(groups: Groups, pair: list[str], *, angles: bool) -> Grid:
     rows = []
     for name, (mean, low, high, pairs) in zip(groups.index_names, groups.indices, strict=True):
         muscle, _, measure = name.partition("|")
+        if muscle and angles:
+            continue
         wide = f"{low:z.1f} to {high:z.1f}" if np.isfinite(low) else "–"
         rows.append([f"{muscle} {MEASURES.get(measure, measure)}".strip(), f"{mean:z.1f}", wide, str(int(pairs))])
     columns = [("Measure", ""), ("Index", "%"), ("95 % interval", "%"), ("Pairs of cycles", "")]

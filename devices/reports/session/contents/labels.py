@@ -78,6 +78,8 @@ SITES = ("sites", "electrodes", "electrode_sites")
 
 AMPLITUDES = ("peak", "mean", "integrated", "mean_stance", "mean_swing", "integrated_stance", "integrated_swing")
 """The fields in the signal's unit."""
+UNSIGNED = ("integrated", "deviation", "cv_pct")
+"""The fields that only amplitudes above 0 have a use for."""
 
 
 def decimals(field: str, least: int, values: Samples) -> int:
@@ -89,7 +91,7 @@ def decimals(field: str, least: int, values: Samples) -> int:
 
 def column(field: str, spec: StreamSpec) -> Column | None:
     """How a field of a muscle's events is shown; None if it is left to the CSV file."""
-    if field not in COLUMNS:
+    if field not in COLUMNS or (field in UNSIGNED and is_angle(spec)):
         return None
     heading, decimals, note = COLUMNS[field]
     if field == "deviation":
@@ -102,6 +104,11 @@ def column(field: str, spec: StreamSpec) -> Column | None:
     if field == "integrated" and not unit.startswith(("V", "mV", "uV", "%")):
         heading, note = "Integral", "mean times duration."
     return Column(heading, "% of cycle" if field == "peak_pct" else unit, decimals, note)
+
+
+def is_angle(spec: StreamSpec | None) -> bool:
+    """Whether amplitudes are angles, which have two signs and no natural zero: shares of them mean nothing."""
+    return spec is not None and (spec.unit_of("peak") if spec.is_event else "".join(set(spec.units))) == "deg"
 
 
 def facts(session: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
