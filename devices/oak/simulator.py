@@ -35,8 +35,8 @@ from kinegraph.stream.params import param
 HEAD = struct.Struct("<qq")
 """A packet, as misbehaviour spoils it: number, time on this computer (us); then the frame's bytes."""
 TICK_S = 0.005
-MAX_BEHIND = 10
-"""A frame that is this many frames late is not rendered: the computer is too slow."""
+MAX_BEHIND = QUEUE // 2
+"""Where the computer is too slow, the camera's clock is set back to this many frames: a fault is what was asked for, and nothing else."""
 BOOTED_S, DRIFT = 3.25, 20e-6
 """The camera's own clock: when it started, and by how much it is fast."""
 GRAVITY = 9.81
@@ -135,6 +135,13 @@ class SimulatedCamera:
         """How long ago it was opened first (s)."""
         return 0.0 if math.isnan(self.began) else time.monotonic() - self.began
 
+    def caught_up(self, frames: int) -> float:
+        """How long ago it was opened first (s), by a clock that is slower while `frames` were sent and the computer does not keep up."""
+        late = self.since() * self.of.fps - frames - MAX_BEHIND
+        if late >= 1.0 and frames > 0:
+            self.began += int(late) / self.of.fps
+        return self.since()
+
     @contextmanager
     def opened(self, dai: Any, link: CameraLink) -> Iterator[Camera]:
         """As a real camera is opened. Raises DeviceError while the cable is out."""
@@ -225,7 +232,7 @@ class RunningScene:
             self._begin()
         if self._gone:
             return
-        seconds = camera.since()
+        seconds = camera.caught_up(self._said)
         for packet in self._due(seconds):
             message = self._message(packet)
             if camera.of.image and message.getSequenceNum() >= 0:
@@ -242,7 +249,7 @@ class RunningScene:
     def _due(self, seconds: float) -> list[bytes]:
         camera, fps = self._camera, self._camera.of.fps
         due = int(seconds * fps)
-        first, self._said = max(self._said, due - MAX_BEHIND), max(self._said, due + 1)
+        first, self._said = self._said, max(self._said, due + 1)
         packets = [
             HEAD.pack(k - self._first, self._zero_us + round(k / fps * 1e6)) + camera.frame(k, k / fps).tobytes()
             for k in range(first, due + 1)

@@ -155,8 +155,8 @@ class Returning(Operator[ReturningState]):
             s.count = max(s.count, known + 1)
         away = (onset - int(s.ended[known])) / NS if s.ended[known] != NEVER else np.nan
         s.ended[known] = max(int(s.ended[known]), end)
-        for row in rows:
-            s.labels[index.insert(row) % len(s.labels)] = known
+        s.labels[(index.newest + 1 + np.arange(len(rows))) % len(s.labels)] = known
+        index.follow(rows, 0)
         return onset, end, cluster, known, returned, away, share
 
     def _looked_up(self, index: Index, rows: Samples) -> tuple[int, float]:

@@ -24,7 +24,7 @@ from kinegraph.devices.oak.adapter import Frames, ImuPackets, Message
 from kinegraph.devices.oak.camera import CameraLink, _depth, lit, opened
 from kinegraph.devices.oak.discovery import described
 from kinegraph.devices.oak.library import NOT_FOUND, all_cameras, library, not_opened, ns
-from kinegraph.devices.oak.simulator import BOOTED_S, SimulatedCamera, SimulatedOak
+from kinegraph.devices.oak.simulator import BOOTED_S, HEAD, MAX_BEHIND, RunningScene, SimulatedCamera, SimulatedOak
 from kinegraph.devices.oak.simulator import OakSimulator as Simulated
 from kinegraph.devices.simulation.fault_injection import GOOD, FaultInjection
 from kinegraph.stream.chunk import NS, StreamSpec
@@ -141,6 +141,22 @@ def test_inertial_packets() -> None:
 
 
 # what can be known without a camera ----------------------------------------------------------------------------------
+
+
+def test_a_simulated_camera_on_a_busy_computer_slows_its_clock_and_loses_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("kinegraph.devices.oak.simulator.time.monotonic", lambda: now[0])
+    camera = SimulatedCamera(Simulated(width=16, height=16, fps=30.0), GOOD)
+    camera.began = now[0]
+    scene, numbers = RunningScene(None, camera, CameraLink()), list[int]()
+    for late_s in (0.1, 0.03, 5.0, 0.03, 0.03, 2.0, 0.03):
+        now[0] += late_s
+        due = scene._due(camera.caught_up(scene._said))
+        assert len(due) <= MAX_BEHIND + 2
+        numbers += [HEAD.unpack_from(packet)[0] for packet in due]
+    assert numbers == list(range(len(numbers))) and len(numbers) > 15
 
 
 def test_specs_and_outputs_hang_on_the_parameters() -> None:
