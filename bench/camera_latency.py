@@ -2,7 +2,7 @@
 
 Runs the shipped config `avatar` in real time, a rendered performer in the camera's place, and receives its datagrams over UDP. Prints one
 row of the table in docs/lab/latency.md: the time from a frame's stamp to the last datagram of its pose; the lag of the sent wrists behind
-the true ones by cross-correlation, with the filters and the prediction of the config; both together. `--alone` leaves the network out.
+the true ones by cross-correlation, with the filters of the config; both together. `--alone` leaves the network out.
 """
 
 from __future__ import annotations
