@@ -90,6 +90,7 @@ def test_arguments_that_cannot_be(kinegraph: Command, made: Path, tmp_path: Path
     refused(kinegraph("run"), "kinegraph: missing argument 'CONFIG'; `kinegraph run --help` describes it")
     refused(kinegraph("run", graph, "--nope"), "kinegraph: no such option: --nope")
     refused(kinegraph("run", "none.yaml"), "none.yaml: the graph cannot be read: No such file")
+    refused(kinegraph("run", "bedside"), "did you mean 'bedside_simulated' or 'bedside_sleep' or 'bedside_two'?")
     (tmp_path / "folder.yaml").mkdir()
     output = kinegraph("run", "folder.yaml")
     refused(output, "cannot be read: Is a directory")

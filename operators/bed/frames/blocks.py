@@ -75,6 +75,34 @@ def slope(level: Samples, r: int, q: int, down: int, right: int) -> float:
 
 
 @kernel(nogil=True)
+def flatten(frame: Frame, level: Samples, weight: float, centre: float, shift: Single, out: Frame) -> None:
+    """What `simplify` makes of `frame` with one flat vector of this `weight`: one number a block, in the same order of sums."""
+    b, w = frame.shape[0] // level.shape[0], frame.shape[1]
+    means, sums, line = np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.uint16)
+    for r in range(level.shape[0]):
+        for q in range(level.shape[1]):
+            mean = level[r, q]
+            for x in range(q * b, q * b + b):
+                means[x] = np.float32(mean) if mean == mean else np.float32(0.0)
+                sums[x] = np.float32(0.0)
+        for j in range(b):
+            for x in range(w):
+                p = frame[r * b + j, x]
+                sums[x] += (np.float32(p) - means[x] if p != 0 else np.float32(0.0)) * weight
+        for q in range(level.shape[1]):
+            c = means[q * b] * shift[0] - shift[1]
+            for x in range(q * b, q * b + b):
+                c += sums[x]
+            v = min(max(centre + np.float32(0.5) + c * weight, np.float32(1.0)), np.float32(65535.0))
+            value = np.uint16(np.int32(v)) if means[q * b] > np.float32(0.0) else np.uint16(0)
+            for x in range(q * b, q * b + b):
+                line[x] = value
+        for j in range(b):
+            for x in range(w):
+                out[r * b + j, x] = line[x]
+
+
+@kernel(nogil=True)
 def simplify(
     frame: Frame,
     tiles: Single,
@@ -86,8 +114,8 @@ def simplify(
 ) -> None:
     """Every block of `frame` (h, w) as `centre` plus its projections on `tiles`, into `out` (h, w); its level into `means` (h/b, w/b).
 
-    tiles    (m, b, w)  orthonormal vectors (b, b), side by side as often as there are blocks in a row
-    centre   (b, w)     what is subtracted from a block before it is projected, side by side
+    tiles    (m, b, w)  orthonormal vectors (b, b), side by side as often as there are blocks in a row; one alone is flat
+    centre   (b, w)     what is subtracted from a block before it is projected, side by side; flat beside one vector
     shift    (m, 2)     of every vector: the sum of its numbers; its product with the centre
     needed   pixels that a block must have to count as measured; `means` is NaN elsewhere
 
@@ -100,11 +128,16 @@ def simplify(
     for r in range(means.shape[0]):
         for q in range(means.shape[1]):
             first[r, q] = levelled(levels, levels[0], b, r, q)
+    for r in range(means.shape[0]):
+        for q in range(means.shape[1]):
+            means[r, q] = levelled(levels, first, b, r, q)  # slopes of levels that tremble less
+    if m == 1:
+        flatten(frame, levels[0], tiles[0, 0, 0], centre[0, 0], shift[0], out)
+        return
     rows = np.empty((b + 1 + m, w), np.float32)
     for r in range(frame.shape[0] // b):
         top = r * b
         for q in range(w // b):
-            means[r, q] = levelled(levels, first, b, r, q)  # slopes of levels that tremble less
             mean = levels[0, r, q]
             for x in range(q * b, q * b + b):
                 rows[b, x] = np.float32(mean) if mean == mean else np.float32(0.0)

@@ -87,7 +87,9 @@ def read_text(path: Path) -> tuple[Path, str]:
     except OSError as error:
         there = [p.name for p in sorted(path.parent.glob("*.y*ml"))] if path.parent.is_dir() else []
         there += shipped() if path.parent == Path() else ()
-        hint = f"; {nearest(path.name, there)}" if there and not path.exists() else ""
+        begun = [repr(name) for name in there if name.startswith(f"{path.name}_")]
+        meant = f"did you mean {' or '.join(begun)}?" if begun else nearest(path.name, there)
+        hint = f"; {meant}" if there and not path.exists() else ""
         raise GraphError(f"the graph cannot be read: {error.strerror}{hint}", path=str(path)) from None
 
 
