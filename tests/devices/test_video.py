@@ -12,7 +12,7 @@ import pytest
 
 from kinegraph.devices.cameras.video import Video, container
 from kinegraph.devices.cameras.video.importer import VIDEO
-from kinegraph.devices.cameras.video.simulator import network_camera, simulated
+from kinegraph.devices.cameras.video.simulator import CLIP, clip_from, network_camera, simulated
 from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, ParameterError, RecordingError
@@ -169,8 +169,18 @@ def test_the_simulated_camera_shows_what_its_number_says() -> None:
     with simulated(Video(width=160, height=120)) as source, reading(source) as feed:
         wait_for(lambda: feed.error is not None or feed.count("image") > 3)
     assert feed.error is None, feed.error
-    assert source.specs()["image"].meta["camera"]["fx"] == pytest.approx(0.70 * 160)
-    assert feed.data("image")[0].mean() > 20
+    assert source.specs()["image"].meta["camera"]["fx"] == pytest.approx(0.87 * 160), "as the clip was made"
+    assert feed.data("image").shape[1:] == (120, 160, 3)
+    blue = feed.data("image")[0, 70:100, 70:90].astype(int)
+    assert (blue[..., 2] > blue[..., 0] + 40).mean() > 0.9, "the person's shirt"
+
+
+def test_the_shipped_clip_repeats_and_a_late_viewer_need_not_see_it_from_its_beginning() -> None:
+    facts = container.file_facts(str(CLIP))
+    length = facts.frames / facts.rate_hz
+    assert CLIP.stat().st_size < 400_000 and (facts.width, facts.height, length) == (640, 480, pytest.approx(8.0))
+    begins, ends, _ = next(clip_from(3 * length + 0.05))
+    assert (begins, ends) == (pytest.approx(3 * length), pytest.approx(3 * length + 1 / facts.rate_hz))
 
 
 def test_what_is_missing_is_named() -> None:

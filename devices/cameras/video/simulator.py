@@ -1,4 +1,4 @@
-"""A simulated camera on the network: it serves JPEG pictures of someone who moves, over HTTP, as many telephones' apps do."""
+"""A simulated camera on the network: it serves JPEG pictures of a shipped clip over HTTP, as many telephones' apps do."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-
+from kinegraph.devices.cameras.video import container
 from kinegraph.devices.cameras.video.source import Video
-from kinegraph.devices.people.rendered_performer import RenderedPerformer, camera_of
-from kinegraph.stream.chunk import Array
 
+CLIP = Path(__file__).with_name("someone.mp4")
+"""A rendered person before a webcam, with hands and a face (`python -m bench.demo_clip`)."""
 BOUNDARY = "picture"
 QUALITY = 90
 
 
 class NetworkCamera:
-    """A camera that serves `fps` pictures a second to everyone who asks; `unplug` ends all answers and refuses new ones."""
+    """A camera that serves `fps` pictures a second of a clip, again and again, to everyone who asks; `unplug` ends all answers."""
 
     def __init__(self, width: int, height: int, fps: float) -> None:
         self.size, self.fps = (width, height), fps
-        self._performer, self._lock = RenderedPerformer(width, height), threading.Lock()
         self._began: float | None = None
         self._out = threading.Event()
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
@@ -49,24 +49,27 @@ class NetworkCamera:
         self._server.server_close()
         self._thread.join()
 
-    def picture(self, frame: int) -> Array:
-        """The picture (height, width, 3) of that number: what it shows begins when the first one is asked for."""
-        with self._lock:
-            return np.repeat(self._performer.image(frame, frame / self.fps)[..., None], 3, 2)
-
     def pictures(self) -> Iterator[bytes]:
-        """JPEG files at the camera's pace; a frame whose time has passed is not made."""
-        from PIL import Image
-
+        """JPEG files at the camera's pace; one whose time has passed is not made. The clip begins when somebody first asks."""
         self._began = time.monotonic() if self._began is None else self._began
-        number = round((time.monotonic() - self._began) * self.fps)
-        while not self._out.is_set():
-            number = max(number, int((time.monotonic() - self._began) * self.fps))
-            time.sleep(max(0.0, self._began + number / self.fps - time.monotonic()))
-            file = io.BytesIO()
-            Image.fromarray(self.picture(number)).save(file, "JPEG", quality=QUALITY)
-            yield file.getvalue()
-            number += 1
+        number = self._now()
+        for begins, ends, frame in clip_from(number / self.fps):
+            number = max(number, self._now())
+            while begins <= number / self.fps < ends:
+                time.sleep(max(0.0, self._began + number / self.fps - time.monotonic()))
+                if self._out.is_set():
+                    return
+                yield self._jpeg(frame)
+                number += 1
+
+    def _now(self) -> int:
+        """The number of the picture whose time it is."""
+        return int((time.monotonic() - (self._began or 0.0)) * self.fps)
+
+    def _jpeg(self, frame: Any) -> bytes:
+        file, (width, height) = io.BytesIO(), self.size
+        frame.reformat(width=width, height=height, format="rgb24").to_image().save(file, "JPEG", quality=QUALITY)
+        return file.getvalue()
 
     def _handler(self) -> type[BaseHTTPRequestHandler]:
         camera = self
@@ -92,6 +95,18 @@ class NetworkCamera:
         return Handler
 
 
+def clip_from(seconds: float) -> Iterator[tuple[float, float, Any]]:
+    """The clip's frames, again and again: from when to when (s) each is shown, the first one not long before `seconds`."""
+    facts = container.file_facts(str(CLIP))
+    rate = facts.rate_hz or 30.0
+    turn = int(seconds * rate / facts.frames)
+    while True:
+        with container.opened(str(CLIP), 0, 0, 0.0) as (opened, _):
+            for k, frame in enumerate(opened.decode(video=0), turn * facts.frames):
+                yield k / rate, (k + 1) / rate, frame
+        turn += 1
+
+
 @contextmanager
 def network_camera(width: int, height: int, fps: float) -> Iterator[NetworkCamera]:
     """A camera that can be reached for as long as the context lasts."""
@@ -109,5 +124,4 @@ def simulated(source: Video) -> Iterator[Video]:
         source = replace(source, url="")
     width, height = source.size()
     with network_camera(width, height, source.fps) as camera:
-        intrinsics = source.intrinsics or camera_of(width, height)
-        yield replace(source, url=camera.url, width=width, height=height, intrinsics=intrinsics)
+        yield replace(source, url=camera.url, width=width, height=height)

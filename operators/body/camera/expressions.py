@@ -62,7 +62,7 @@ def measures(points: Samples, out: Samples) -> None:
 def expressions(now: Samples, rest: Samples, out: Samples) -> None:
     """Weights (21,) 0 to 1 into `out` from `measures` now, and of this face at rest."""
     for eye in range(2):
-        blink = _share(rest[eye] - now[eye], 0.25 * rest[eye], 0.70 * rest[eye])
+        blink = _share(rest[eye] - now[eye], 0.15 * rest[eye], 0.50 * rest[eye])  # closed lids still measure a third
         out[eye], out[7 + eye] = blink, blink
     opened = _share(now[2] - rest[2], 0.012, 0.17)
     wider = (now[3] - rest[3]) / rest[3]
