@@ -189,5 +189,5 @@ function Orders({ beds, done }: { beds: string[]; done: () => void }) {
 }
 
 const app = document.getElementById("app");
-if (app) showTheme();
-render(<App />, app);
+showTheme();
+if (app) render(<App />, app);
