@@ -485,4 +485,9 @@ def app_of(home: Path, access: Access) -> ASGIApp:
 async def serve(home: Path, address: Address, *, duration_s: float, browser: bool) -> None:
     """Serve a lab until Ctrl-C. Sessions go on."""
     name, after = "lab", "sessions go on"
-    await serve_app(lambda access: app_of(home, access), name, after, address, duration_s=duration_s, browser=browser)
+    try:
+        await serve_app(
+            lambda access: app_of(home, access), name, after, address, duration_s=duration_s, browser=browser
+        )
+    finally:  # Ctrl-C raises here
+        await jobs.settled()

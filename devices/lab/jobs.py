@@ -9,12 +9,33 @@ import tempfile
 from collections.abc import AsyncGenerator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from kinegraph.stream.errors import KinegraphError
 
 COMMAND = (sys.executable, "-P", "-c", "from kinegraph.stream.cli.main import main; main()")
 MAX_PRINTED = 20_000
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+_starting: set[asyncio.Future[None]] = set()
+"""One for each process that is being started now."""
+
+
+async def _started(*command: str | Path, **given: Any) -> asyncio.subprocess.Process:
+    done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    _starting.add(done)
+    try:
+        return await asyncio.create_subprocess_exec(*command, **given)
+    finally:
+        _starting.discard(done)
+        done.cancel()
+
+
+async def settled() -> None:
+    """Wait until no process is being started: asyncio never ends a start that is cancelled half-way, and the lab would hang."""
+    while _starting:
+        await asyncio.wait([*_starting])
 
 
 async def kinegraph(home: Path, *arguments: str) -> tuple[int, str]:
@@ -26,7 +47,7 @@ async def printed(home: Path, *arguments: str) -> AsyncGenerator[bytes, None]:
     """What a command writes, as it comes. It ends with whoever reads this. Raises KinegraphError where it writes nothing."""
     count = 0
     with tempfile.TemporaryFile() as complaints:
-        process = await asyncio.create_subprocess_exec(
+        process = await _started(
             *COMMAND, *arguments, cwd=home, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=complaints
         )  # fmt: skip
         assert process.stdout
@@ -52,7 +73,7 @@ class Check:
 
     async def run(self, home: Path, *arguments: str) -> None:
         """Call the command until it ends."""
-        process = await asyncio.create_subprocess_exec(
+        process = await _started(
             *COMMAND, *arguments, cwd=home, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
         )  # fmt: skip
         assert process.stdout and process.stderr
@@ -86,7 +107,7 @@ def _is_root() -> bool:
 
 
 async def _called(folder: Path, *command: str) -> tuple[int, str]:
-    process = await asyncio.create_subprocess_exec(
+    process = await _started(
         *command, cwd=folder, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
     )  # fmt: skip
     out, _ = await process.communicate()

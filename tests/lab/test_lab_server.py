@@ -17,6 +17,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
+from kinegraph.devices.lab import jobs
 from kinegraph.devices.lab.app import Lab, app_of
 from kinegraph.devices.lab.app_server import listening
 from kinegraph.devices.lab.sessions import LabSession, Sessions
@@ -139,6 +140,27 @@ def test_one_at_a_time_controls_a_session(tmp_path: Path) -> None:
     lab = Lab(tmp_path)
     assert lab.controls("s", "one") and not lab.controls("s", "two") and not lab.controls("s", "")
     assert lab.controls("s", "two", take=True) and not lab.controls("s", "one")
+
+
+def test_an_end_waits_for_a_process_that_is_being_started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    async def ends_after_the_start() -> None:
+        may_start = asyncio.Event()
+
+        async def slow(*_: Any, **__: Any) -> Any:
+            await may_start.wait()
+            raise OSError
+
+        monkeypatch.setattr(asyncio, "create_subprocess_exec", slow)
+        check = asyncio.create_task(jobs.Check().run(tmp_path, "emg", "check-electrodes"))
+        await asyncio.sleep(0)
+        end = asyncio.create_task(jobs.settled())
+        await asyncio.wait([end], timeout=0)
+        assert not end.done()
+        may_start.set()
+        await end
+        assert isinstance((await asyncio.gather(check, return_exceptions=True))[0], OSError)
+
+    asyncio.run(ends_after_the_start())
 
 
 def test_the_cameras_picture_stays_on_the_labs_own_machine(tmp_path: Path) -> None:
