@@ -18,6 +18,7 @@ from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
 from tests.support.live_browser import live_browser
 from tests.support.page_session import needs_page, page_process
+from tests.support.pose_model import camera_networks_or_skip
 
 pytestmark = [needs_page, needs_browser, pytest.mark.timeout(280)]
 GRAPH = """
@@ -59,3 +60,28 @@ def test_fingers_bend_and_eyes_blink_as_their_streams_say(tmp_path: Path) -> Non
         assert browser.complaints == []
     assert flat[3:] == [0.0, 0.0] and bent[3:] == pytest.approx([1.0, 0.8], abs=0.01)
     assert np.linalg.norm(np.array(bent[:3]) - flat[:3]) > 0.03
+
+
+WATCH = """
+window.most = [0, 0, 0]; window.first = null;
+setInterval(() => {
+  const shown = document.querySelector('.avatar')?.dataset.live?.split(' ').map(Number);
+  if (!shown) return;
+  first ??= shown;
+  const way = Math.hypot(...[0, 1, 2].map((k) => shown[k] - first[k]));
+  most = [Math.max(most[0], way), Math.max(most[1], shown[3]), Math.max(most[2], shown[4])];
+}, 20), 1
+"""
+"""How far a finger's end has been from where it began (m), and the most of blink and mouth."""
+
+
+@pytest.mark.nightly
+def test_hands_eyelids_and_mouth_of_the_avatar_follow_the_shipped_clip(tmp_path: Path) -> None:
+    camera_networks_or_skip()
+    words = ("run", "webcam_avatar", "--simulate", "--view", "none", "--no-record")
+    with live_browser(tmp_path) as browser, page_process(tmp_path, *words) as process:
+        browser.open(process.url, 1000, 1000)
+        browser.wait("document.querySelector('.avatar')?.dataset.live")
+        browser.value(WATCH)
+        browser.wait("most[0] > .1 && most[1] > .5 && most[2] > .3")
+        assert browser.complaints == []
