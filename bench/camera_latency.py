@@ -3,11 +3,15 @@
 Runs the shipped config `avatar` in real time, a rendered performer in the camera's place, and receives its datagrams over UDP. Prints one
 row of the table in docs/lab/latency.md: the time from a frame's stamp to the last datagram of its pose; the lag of the sent wrists behind
 the true ones by cross-correlation, with the filters of the config; both together. `--alone` leaves the network out.
+
+`--webcam`: the shipped config `webcam_avatar` before a camera on the network (640 x 480, 30 frames/s, JPEG over HTTP, drawn on this machine
+too): from a frame's stamp to its datagram, with hands and face and without, and the machine's load.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import tempfile
 from pathlib import Path
@@ -15,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.avatar import lag_of, received
+from kinegraph.devices.cameras.video.simulator import network_camera
 from kinegraph.devices.people.rendered_performer import POINTS
 from kinegraph.operators.body.network.blazepose import default_model
 from kinegraph.stream.chunk import NS
@@ -41,12 +46,40 @@ def rendered_config(folder: Path, *, alone: bool) -> Path:
     return path
 
 
+def webcam(seconds: float) -> None:
+    text = (CONFIG.parent / "webcam_avatar.yaml").read_text(encoding="utf-8")
+    body = re.sub(r"  (?:hands|fingers|face):\n(?:    .*\n)+\n", "", text)
+    body = body.replace("fingers: fingers, blends: face", "").replace("[avatar, fingers, face]", "avatar")
+    body = body.replace("hands, fingers, face, ", "")
+    print("webcam_avatar | load before | stamp to datagram, p50 | p99 | poses a second\n|---|--:|--:|--:|--:|")
+    for title, graph in (("body only", body), ("with hands and face", text)):
+        with tempfile.TemporaryDirectory() as name, network_camera(640, 480, 30.0) as camera:
+            folder, load = Path(name), os.getloadavg()[0]
+            (folder / "graph.yaml").write_text(graph, encoding="utf-8")
+            came = received(seconds, folder, [f"url={camera.url}"], str(folder / "graph.yaml"))
+            with Recording.open(folder / "run") as recording:
+                stamps, _ = recording.read("avatar")
+        after = [(sent, now) for sent, now in came if sent > FOLLOWED_S]
+        if len(after) < 2:
+            print(f"{title} | {load:.1f} | no pose came: give it more --seconds")
+            continue
+        late = np.array([now - (int(stamps[0]) + sent * NS) for sent, now in after]) / 1e6
+        p50, p99 = np.percentile(late, [50, 99])
+        print(
+            f"| {title} | {load:.1f} | {p50:.0f} ms | {p99:.0f} ms | {len(after) / (after[-1][0] - after[0][0]):.1f} |"
+        )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench.camera_latency", description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--alone", action="store_true", help="depth alone, as where the network is missing")
     parser.add_argument("--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE")
+    parser.add_argument("--webcam", action="store_true", help="one ordinary camera in place of the depth camera")
     given = parser.parse_args()
+    if given.webcam:
+        webcam(given.seconds)
+        return
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         came = received(given.seconds, folder, given.set, str(rendered_config(folder, alone=given.alone)))

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from kinegraph.devices.people.rendered_performer import POINTS, RenderedPerformer, camera_of
+from kinegraph.operators.body.camera import image_pose
 from kinegraph.operators.body.camera.detector import SeenPerson, middle_one
 from kinegraph.operators.body.camera.distance import BODY, bones_of, distance, scale_of
 from kinegraph.operators.body.camera.image_pose import ImagePose
 from kinegraph.operators.body.camera.one_camera import OneCamera
 from kinegraph.operators.body.names import LANDMARKS, MARKERS, SEEN
-from kinegraph.stream.chunk import Chunk, StreamSpec
+from kinegraph.stream.chunk import NS, Chunk, StreamSpec
 from kinegraph.stream.errors import InputError
 from kinegraph.stream.operator import grid
 from tests.support.pose_model import camera_networks_or_skip
@@ -113,3 +114,74 @@ def test_a_rendered_person_is_found_and_placed_by_the_networks() -> None:
     truth = np.array([performer.joints(k / 30) for k in range(150, 165)])[:, [POINTS.index(name) for name in names]]
     off = np.linalg.norm(made[:, [MARKERS.index(name) for name in names]] - truth, axis=2)
     assert np.nanmedian(off) < 0.25 and np.isfinite(off).mean() > 0.8
+
+
+def dressed(at: dict[int, tuple[int, int, int]]) -> np.ndarray:
+    """An image in which people stand at these x, in clothes of these colours."""
+    image = np.full((240, 320, 3), 120, np.uint8)
+    for x, colour in at.items():
+        image[80:180, x - 15 : x + 15] = colour
+    return image
+
+
+def test_a_person_behind_whom_another_one_crossed_is_found_again_by_the_clothes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mine, other = np.array([100.0, 130.0, 230.0, 0.0]), np.array([240.0, 130.0, 230.0, 0.0])
+    image = dressed({100: (40, 60, 220), 240: (210, 50, 40)})
+    in_sight = [other, mine]
+    monkeypatch.setattr(
+        image_pose, "people_in", lambda image, path: [SeenPerson(0.9, square.copy()) for square in in_sight]
+    )
+    operator = ImagePose(model=image_pose.FIGURE)
+    operator.open(
+        {
+            "in": StreamSpec(
+                (240, 320, 3),
+                np.dtype(np.uint8),
+                rate_hz=30.0,
+                meta={"camera": dict.fromkeys(("fx", "fy", "cx", "cy"), 200.0)},
+            )
+        }
+    )
+    state = operator.state
+    times = grid(30.0, 400).tolist()
+    for time in times[:30]:
+        state.square[:] = mine
+        operator._recognise(image, time)
+    state.square[:] = other  # it crossed before the person, and the network went with it
+    operator._recognise(image, times[30])
+    assert state.square.tolist() == mine.tolist()
+    in_sight.pop()
+    state.square[:] = other
+    for time in times[31:]:
+        operator._recognise(image, time)
+        assert state.square.tolist() == other.tolist(), "the person is gone: whoever is there is followed"
+    in_sight.append(mine)
+    operator._recognise(image, times[-1] + NS)
+    assert state.square.tolist() == other.tolist(), "and is the person after a while"
+
+
+def test_a_person_who_turns_or_walks_into_the_shade_is_not_exchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    mine = np.array([100.0, 130.0, 230.0, 0.0])
+    monkeypatch.setattr(
+        image_pose,
+        "people_in",
+        lambda image, path: [SeenPerson(0.9, np.array([240.0, 130.0, 230.0, 0.0])), SeenPerson(0.9, mine + 2)],
+    )
+    operator = ImagePose(model=image_pose.FIGURE)
+    operator.open(
+        {
+            "in": StreamSpec(
+                (240, 320, 3),
+                np.dtype(np.uint8),
+                rate_hz=30.0,
+                meta={"camera": dict.fromkeys(("fx", "fy", "cx", "cy"), 200.0)},
+            )
+        }
+    )
+    for k, time in enumerate(grid(30.0, 90).tolist()):
+        operator.state.square[:] = mine
+        shade = 1.0 if k < 30 else 0.4
+        operator._recognise(dressed({100: tuple(int(shade * c) for c in (40, 60, 220)), 240: (210, 50, 40)}), time)
+        assert np.abs(operator.state.square - mine).max() <= 2

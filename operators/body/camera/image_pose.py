@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 import structlog
 
-from kinegraph.operators.body.camera.detector import middle_one, people_in
+from kinegraph.operators.body.camera.clothes import ALIKE, LEARN, OTHER, colours, unlike
+from kinegraph.operators.body.camera.detector import SeenPerson, middle_one, people_in
 from kinegraph.operators.body.names import LANDMARKS, SEEN, camera_of
 from kinegraph.operators.body.network.blazepose import SIZE, Raw, look
 from kinegraph.operators.body.network.crop import Image, crop, refine
@@ -25,6 +26,8 @@ from kinegraph.stream.params import param
 
 MIN_SIDE, MAX_SIDE = 0.06, 4.0
 """A square that is smaller or larger than these shares of the picture's larger side holds no person who can be followed."""
+CHECK_S, GIVE_UP_S = 0.2, 5.0
+"""Where the clothes are no longer those remembered, people are looked for this often; after so long the new ones are remembered."""
 _reported: set[str] = set()
 
 log = structlog.get_logger(__name__)
@@ -36,12 +39,17 @@ class ImagePoseState:
     model, detector  the networks' files; "": no network
     square           (4,)  where to look next: x, y, side, turn; NaN: look for people in the whole image
     last             stamp of the newest frame
+    clothes          (6,)  colours that the person wears; NaN: not known
+    doubted          since when they differ; 0: they do not; and checked, when people were looked for therefore
     """
 
     model: str
     detector: str
     square: Samples
     last: int
+    clothes: Samples
+    doubted: int
+    checked: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +58,8 @@ class ImagePose(Operator[ImagePoseState]):
 
     BlazePose (Apache-2.0; `kinegraph files fetch camera-models`) by LiteRT. A person is looked for in the whole image first (some 11 ms),
     and then followed from frame to frame (some 12 ms): put it on a `worker`. Of several people it takes the one who stands out near the
-    middle, and stays with that person until that person is lost. No depth is measured: `points[..., 2]` is NaN, and
+    middle, and stays with that person until that person is lost; where another one steps between, the person is found again
+    by the colours of the clothes. No depth is measured: `points[..., 2]` is NaN, and
     operators.body.camera.one_camera.OneCamera places the landmarks by the body's height. It can be recorded where images are not.
 
     >>> given, made = tried(ImagePose)
@@ -84,7 +93,12 @@ class ImagePose(Operator[ImagePoseState]):
             model = detector = FIGURE
         else:
             model, detector = self._found(POSE, "model"), self._found(PERSON, "detector")
-        self.set_state(ImagePoseState(model if detector else "", detector, np.full(4, np.nan), 0))
+        channels = spec.shape[2] if len(spec.shape) == 3 else 1
+        self.set_state(
+            ImagePoseState(
+                model if detector else "", detector, np.full(4, np.nan), 0, np.full(2 * channels, np.nan), 0, 0
+            )
+        )
         meta = {**spec.meta, "landmarks": list(LANDMARKS)}
         units = ("px, m", "", "")
         return {"out": StreamSpec((), SEEN, rate_hz=spec.rate_hz, units=units, settling_s=spec.settling_s, meta=meta)}
@@ -107,10 +121,10 @@ class ImagePose(Operator[ImagePoseState]):
             if time - state.last > self.reset_gap_s * NS:
                 state.square[:] = np.nan
             state.last = time
-            self._look(np.atleast_3d(chunk.data[i]), out[i : i + 1])
+            self._look(np.atleast_3d(chunk.data[i]), time, out[i : i + 1])
         return Chunk(chunk.time, out, chunk.until, chunk.lost)
 
-    def _look(self, image: Image, out: Array) -> None:
+    def _look(self, image: Image, time: int, out: Array) -> None:
         """One frame; a person who was lost is looked for in it at once."""
         points, square = out["points"][0], self.state.square
         points[:], out["presence"], out["facing"] = np.nan, np.nan, 0.0
@@ -136,6 +150,30 @@ class ImagePose(Operator[ImagePoseState]):
         )
         if not (inside and MIN_SIDE * longest < square[2] < MAX_SIDE * longest):
             square[:] = np.nan
+        elif self.state.model != FIGURE:
+            self._recognise(image, time)
+
+    def _recognise(self, image: Image, time: int) -> None:
+        """Remember what the person wears; where it is someone else's, look for the person, who is followed from the next frame on."""
+        s = self.state
+        now = colours(image, s.square)
+        off = unlike(now, s.clothes)
+        if off <= OTHER:
+            s.clothes[:] = np.where(np.isnan(s.clothes), now, s.clothes + LEARN * np.nan_to_num(now - s.clothes))
+            s.doubted = 0
+            return
+        s.doubted = s.doubted or time
+        if time - s.doubted > GIVE_UP_S * NS:
+            s.clothes[:], s.doubted = now, 0
+        elif time - s.checked >= CHECK_S * NS:
+            s.checked = time
+            best = self._alike(image, people_in(image, s.detector))
+            if best is not None and unlike(colours(image, best.square), s.clothes) < ALIKE * off:
+                s.square[:] = best.square
+
+    def _alike(self, image: Image, found: list[SeenPerson]) -> SeenPerson | None:
+        """Of several people the one who wears what is remembered."""
+        return min(found, key=lambda one: unlike(colours(image, one.square), self.state.clothes), default=None)
 
     def _find(self, image: Image) -> bool:
         """Look for people in the whole image, and choose one."""
@@ -143,7 +181,10 @@ class ImagePose(Operator[ImagePoseState]):
         if self.state.model == FIGURE:
             self.state.square[:] = width / 2, height / 2, height, 0.0
             return True
-        found = middle_one(people_in(image, self.state.detector), width, height)
+        people = people_in(image, self.state.detector)
+        found = self._alike(image, people) if len(people) > 1 and not np.isnan(self.state.clothes).all() else None
+        if found is None or unlike(colours(image, found.square), self.state.clothes) > OTHER:
+            found = middle_one(people, width, height)
         if found:
             self.state.square[:] = found.square
         return found is not None
