@@ -64,7 +64,7 @@ RECORDINGS: dict[str, tuple[str, dict[str, str], tuple[int, int, int], tuple[str
         (2, 3, 1), ("", ""),
     ),
 }  # fmt: skip
-"""File; places whose marker has another name; the file's axes that are forwards, up and right (1 to 3, negative: the other way); hips."""
+"""File; markers with other names; the axes that are forwards, up and right (1 to 3, negative: the other way); hips."""
 ROWS: tuple[tuple[str, str, float], ...] = (
     ("Pelvis.tilt", "pelvis_tilt", -1.0), ("Hip.flexion", "hip_flexion", 1.0), ("Knee.flexion", "knee_angle", 1.0),
     ("Ankle.flexion", "ankle_angle", 1.0), ("Pelvis.obliquity", "pelvis_list", 1.0), ("Pelvis.rotation", "pelvis_rotation", 1.0),

@@ -32,7 +32,7 @@ asyncio.run(server.serve(sys.argv[1], host="127.0.0.1", port=int(sys.argv[2])))
 
 @pytest.fixture(scope="module")
 def films(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with 20 s of film whose left half changes its level from frame to frame."""
+    """A folder with 20 s of film; the left half changes its level from frame to frame."""
     folder = tmp_path_factory.mktemp("films")
     with av.open(str(folder / "walk.mp4"), "w") as made:
         stream = made.add_stream("libx264", rate=RATE, options={"preset": "ultrafast", "tune": "zerolatency", "g": "5"})

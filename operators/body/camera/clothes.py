@@ -16,7 +16,7 @@ BESIDE, POINTS = 0.03, 5
 OTHER = 40.0
 """Colours (0 to 255) that differ by more than this may be another person's."""
 ALIKE = 0.5
-"""Another person is taken whose colours differ by less than this share of what those of the followed one do."""
+"""Another person is taken with colours that differ by less than this share of what those of the followed one do."""
 LEARN = 0.05
 """The share of each new frame in what is remembered."""
 
