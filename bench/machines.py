@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import random
 import tempfile
@@ -334,7 +335,8 @@ def ledger(
 
 def outage(rng: random.Random, round_s: float, step_s: float) -> int:
     """For how many events an outage lasts: 1 s to four rounds, an hour at most; short ones are as frequent as long ones."""
-    return max(1, round(min(3600.0, 4 * round_s) ** rng.random() / step_s))
+    longest_s = min(3600.0, 4 * round_s)
+    return max(1, round(math.pow(longest_s, rng.random()) / step_s))
 
 
 def fault(
