@@ -27,6 +27,8 @@ MAX_BYTES = 256 << 10
 """A message is sent once it has this many bytes of samples."""
 GATHER_S = 0.1
 """Or once its first chunk is so old."""
+GATHER_BEHIND_S = 1.0
+"""Or, while messages wait: each costs a way to the server and back, and larger ones catch up."""
 MAX_SAMPLE_BYTES = 960 << 10
 """A server takes messages of 1 MiB unless it is configured otherwise."""
 ID, SESSION, SPEC = "Nats-Msg-Id", "Kinegraph-Session", "Kinegraph-Spec"
@@ -102,9 +104,9 @@ class Gathering:
         if self._builder.size >= MAX_BYTES:
             yield self._ended()
 
-    def due(self, now: int, *, last: bool = False) -> Iterator[StreamMessage]:
+    def due(self, now: int, *, gather_s: float = GATHER_S, last: bool = False) -> Iterator[StreamMessage]:
         """What is to be sent at `now` (ns), because it is old enough or the `last`."""
-        if self._builder and (last or now - self._began >= GATHER_S * 1e9):
+        if self._builder and (last or now - self._began >= gather_s * 1e9):
             yield self._ended()
 
     def _ended(self) -> StreamMessage:

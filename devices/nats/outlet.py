@@ -20,6 +20,8 @@ from platformdirs import user_state_path
 
 from kinegraph.devices.nats import link as links
 from kinegraph.devices.nats.messages import (
+    GATHER_BEHIND_S,
+    GATHER_S,
     MAX_SAMPLE_BYTES,
     Gathering,
     StreamMessage,
@@ -51,6 +53,8 @@ NIGHT = re.compile(r"[A-Za-z0-9_+-]+")
 STATUS_S = 5.0
 """How often a bed reports how it is; and an event at once, but not oftener than `NEWS_S`."""
 NEWS_S = 0.1
+MAX_PROMPT = 20
+"""Messages that may wait; with more, those to come are larger."""
 
 
 @dataclass(slots=True)
@@ -99,10 +103,10 @@ class StreamOutletRuntime:
 class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
     """Publishes edges of the graph, so that `devices.nats.StreamInlet` continues them on another machine, sample for sample.
 
-    Each stream goes out as a recording keeps it (stamps, samples, gaps, watermark), in messages of 100 ms or 256 KiB. A message is sent
-    once the bed's own recording has its input on the disk, and again until the server confirms it; while the server is away it waits in
-    `spool`, which survives the process and is bounded by `spool_mb`: what is older is dropped, counted, and a gap at the other end.
-    After a crash `--resume` sends what was not sent. Nothing waits for the network.
+    Each stream goes out as a recording keeps it (stamps, samples, gaps, watermark), in messages of 100 ms (1 s while many wait) or 256 KiB.
+    A message is sent once the bed's own recording has its input on the disk, and again until the server confirms it; while the server is
+    away it waits in `spool`, which survives the process and is bounded by `spool_mb`: what is older is dropped, counted, and a gap at the
+    other end. After a crash `--resume` sends what was not sent. Nothing waits for the network.
 
     It also reports every 5 s, and at each event, how the bed is: what `kinegraph ward` shows, with this graph's panels. No fact of the
     session leaves the bed but those that `identifiers` names, as it names them: {subject: S07}; text fields of events with these names are
@@ -210,9 +214,11 @@ class StreamOutlet(Outlet[StreamOutletState, StreamOutletRuntime]):
     def _due(self) -> Iterator[StreamMessage]:
         """Messages that are complete by age; on the sender's thread."""
         runtime = self.runtime
+        behind = runtime.sender is not None and runtime.sender.waiting > MAX_PROMPT
+        gather_s = GATHER_BEHIND_S if behind else GATHER_S
         with runtime.lock:
             now = runtime.now()
-            return iter([m for one in runtime.gatherings.values() for m in one.due(now)])
+            return iter([m for one in runtime.gatherings.values() for m in one.due(now, gather_s=gather_s)])
 
     def _rest(self) -> None:
         """What is gathered is a message now."""

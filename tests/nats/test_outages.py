@@ -15,7 +15,7 @@ from kinegraph.devices.nats.link import Link
 from kinegraph.devices.nats.local_server import LocalServer, program
 from kinegraph.devices.nats.messages import DATA, Position, StreamReader, subject
 from kinegraph.devices.nats.server import NatsServer
-from kinegraph.stream.chunk import NEVER, Chunk
+from kinegraph.stream.chunk import NEVER, NS, Chunk
 from tests.support.device_feed import Kept
 from tests.support.mosquitto import eventually, free_port
 from tests.support.nats_site import SPEC, folders, make, numbers, receiving, samples, sending, server, vanish
@@ -43,6 +43,25 @@ def test_a_killed_server_is_delay_and_nothing_else(mortal: LocalServer) -> None:
         bed.process("x", samples(500, 10))
         eventually(lambda: len(numbers(centre)) >= 510)
     assert numbers(centre) == list(range(510)) and not centre.lost("out")
+
+
+def test_a_bed_that_is_behind_sends_larger_messages_so_that_a_slow_link_catches_up(mortal: LocalServer) -> None:
+    """Every message waits for the one before to be confirmed: over a far link 20 a second, where two streams make as many."""
+    with sending("bed", mortal) as bed, receiving("bed", mortal) as centre:
+        mortal.kill()
+        now = 0
+        bed.runtime.now = lambda: now
+        sender = bed.runtime.sender
+        assert sender
+        for k in range(300):  # 30 s of the bed's clock
+            now += NS // 10
+            bed.process("x", samples(10 * k, 10))
+            sender.post(bed._due())
+        assert sender.waiting < 60
+        now += NS
+        mortal.start()
+        eventually(lambda: len(numbers(centre)) >= 3000)
+    assert numbers(centre) == list(range(3000)) and not centre.lost("out")
 
 
 @contextmanager
