@@ -27,7 +27,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "configs" / "body_markers.yaml"
 def replayed() -> kg.Results:
     written, text = YAML(), StringIO()
     graph = written.load(CONFIG.read_text(encoding="utf-8"))
-    for node in ("network", "markers"):
+    for node in ("network", "markers", "screen"):
         del graph["nodes"][node]
     del graph["page"]  # it shows what is left out here
     graph["record"] = ["background.floor", "persons.persons"]
