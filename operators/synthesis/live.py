@@ -97,7 +97,7 @@ class LiveWalk(_Walking):
     outputs: ClassVar[tuple[str, ...]] = ("pose", "transition")
     exemptions: ClassVar[dict[str, str]] = {
         "channels": "a pose is a whole: one with a bad number is left out",
-        "nan": "the walk continues while nobody is seen",
+        "nan": "the walk continues while a person is hidden",
     }
 
     path: tuple[tuple[float, float], ...] = param(
