@@ -75,9 +75,9 @@ def placed(room: Studio, rotations: Any, degrees: float, ahead_m: float) -> tupl
         for j, p in enumerate(room.body["parents"]):
             if j != hips and not np.isnan(joints[0, p]).any():
                 joints[:, j] = joints[:, p] + rotations[:, p] @ (head[j] - head[p])
-    for r, j in zip(rotations, joints, strict=True):
-        j[:, 1] -= room.skin(r, j)[:, 1].min()
-        j[:, 2] += ahead_m
+    for turns, places in zip(rotations, joints, strict=True):
+        places[:, 1] -= room.skin(turns, places)[:, 1].min()
+        places[:, 2] += ahead_m
     return rotations, joints
 
 
@@ -144,7 +144,7 @@ def main() -> None:
                 *(f"{100 * x.mean():.0f} %" for x in (near, flagged, near | flagged)),
             ]
             if name == "near":
-                upper = flags[at][:, LEG_BONES].all(axis=1) & ~flags[at][:, OTHERS].all(axis=1)
+                upper = np.asarray(flags[at][:, LEG_BONES].all(axis=1) & ~flags[at][:, OTHERS].all(axis=1))
                 print(
                     f"{way}: legs alone are guessed in {100 * upper.mean():.0f} % of the frames, for {longest(upper)} in a row"
                 )
