@@ -18,8 +18,8 @@ pytestmark = [pytest.mark.nightly, needs_page, needs_browser, pytest.mark.timeou
 
 FAST = {"bedside_simulated": ["camera.bed_h=1"]}
 """A shorter night."""
-BY_DAY = {"bedside_sleep", "bedside_two", "body_markers", "avatar", "avatar_oak", "webcam_avatar"}
-"""What these wait for is not there within seconds: an epoch of sleep, or a network that is not shipped."""
+BY_DAY = {"bedside_sleep", "bedside_two", "body_markers", "avatar", "avatar_oak", "webcam_avatar", "video_gait"}
+"""What these wait for is not there within seconds: an epoch of sleep, a network that is not shipped, a step of somebody on the spot."""
 NEEDS = {"webcam_avatar": "av"}
 """What else has to be installed."""
 MAX_CONTROLS = 0.15
