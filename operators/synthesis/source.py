@@ -116,9 +116,11 @@ class Synthesis(Source):
         return number
 
     def prepare(self) -> None:
-        walker = GraphWalk(self._graph(), [Aim(path=np.array([[0.0, 0.0], [1.0, 1.0]]))], np.array([[50.0, 50.0, 1.0]]))
-        while not walker.step():
-            pass
+        graph, areas = self._graph(), np.array([[50.0, 50.0, 1.0]])
+        for aims in ([], [Aim(path=np.array([[0.0, 0.0], [1.0, 1.0]]))]):
+            walker = GraphWalk(graph, aims, areas)
+            for _ in range(round(graph.rate_hz)):
+                walker.step()
         blended(walker.pose.copy(), walker.pose.copy(), 0.5, walker.pose)
 
     def aims(self, graph: MotionGraph) -> list[Aim]:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bench.motion_graph import all_sequences, followed
 from kinegraph.operators.maps.motion_graph.build import build_graph
+from kinegraph.operators.maps.motion_graph.takes import Take
 from kinegraph.operators.synthesis.goals import Aim, around
 from kinegraph.operators.synthesis.live import LiveWalk
 from kinegraph.operators.synthesis.matching import Matching
+from kinegraph.operators.synthesis.source import Synthesis
 from kinegraph.operators.synthesis.walker import GraphWalk
 from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times, grid
 from kinegraph.stream.domain.skeleton import joints_of
@@ -99,3 +102,10 @@ def test_straight_paths_arrive_on_the_cmu_sequences() -> None:
     for seed in range(5):
         off, _, arrived = followed(graph, np.array([[0.0, 0.0], [0.0, 8.0]]), seed)
         assert arrived and np.median(off) < 0.2
+
+
+def test_a_graph_of_one_stretch_on_the_spot_gets_ready(tmp_path: Path) -> None:
+    """Nothing in it leads along a path."""
+    still = Take("still", 0, np.repeat(waving(1)[:1], 90, 0), np.array([[0, 90]]), np.array([-1]))
+    build_graph(TREE, [still], (), RATE, 0.1, 5, mirror=False).write(tmp_path / "still.npz", {})
+    Synthesis(model=tmp_path / "still.npz").prepare()
