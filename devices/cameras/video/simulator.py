@@ -50,7 +50,7 @@ class NetworkCamera:
         self._thread.join()
 
     def pictures(self) -> Iterator[bytes]:
-        """JPEG files at the camera's pace; one whose time has passed is not made. The clip begins when somebody first asks."""
+        """JPEG files at the camera's pace; one that comes too late is not made. The clip begins when somebody first asks."""
         self._began = time.monotonic() if self._began is None else self._began
         number = self._now()
         for begins, ends, frame in clip_from(number / self.fps):
@@ -63,7 +63,7 @@ class NetworkCamera:
                 number += 1
 
     def _now(self) -> int:
-        """The number of the picture whose time it is."""
+        """The number of the picture that is due."""
         return int((time.monotonic() - (self._began or 0.0)) * self.fps)
 
     def _jpeg(self, frame: Any) -> bytes:

@@ -97,4 +97,4 @@ def looked_at(
         rows = look(time, seen, image)
         end, times = pairs[i + 1][0] - 1 if i + 1 < len(pairs) else limit, np.array([time], np.int64)
         made += [(port, Chunk(times, rows[port], end, lost)) for port in ports]
-    return made or [(port, Chunk(np.empty(0, np.int64), none, limit)) for port, none in ports.items()]
+    return made or [(port, Chunk(np.empty(0, np.int64), rows, limit)) for port, rows in ports.items()]
