@@ -127,7 +127,7 @@ def test_gait_of_three_processes_has_the_cycles_of_one(kinegraph: Command, serve
     with Path("log.txt").open("wb") as log:
         for command in (
             ["run", "third.yaml", "-o", "third", "--view", "none"],
-            *(["replay", f"{bed}.yaml", "one", "--speak", "out"] for bed in ("amplifier3", "markers3")),
+            *(["replay", f"{bed}.yaml", "one", "--speak", "out", "--speed", "2"] for bed in ("amplifier3", "markers3")),
         ):
             if command[0] == "replay":
                 bed = command[1].removesuffix(".yaml")
