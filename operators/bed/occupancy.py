@@ -32,6 +32,8 @@ SITS_MM = 300.0
 need not be within a region."""
 MIN_SHARE = 0.05
 """Who covers less of a region that is too large may be a pet."""
+TREMBLE = 0.03
+"""So much of a region may seem to move though nothing does: blocks on the edges of a heap near the camera (5 of 338 in chosen rooms)."""
 ALIVE = 0.005
 """This much of a region must move (2 blocks at least) to be somebody."""
 
@@ -248,7 +250,7 @@ class Occupancy:
             self.state[k] == OUT and self.watch.seen[k] > beds.seconds.since
         )
         if breathes or moving > max(2.0, ALIVE * beds.regions[k, 2] * beds.regions[k, 3]):
-            self._moves(k, known, end, events)
+            self._moves(k, known, moving, end, events)
             return
         self.still[k] += 1
         self.alive[k] = 0
@@ -272,13 +274,14 @@ class Occupancy:
         if self.state[k] != OUT:
             self._become(k, OUT, end - round(quiet_s * NS), end - 1, events)
 
-    def _moves(self, k: int, known: bool, end: int, events: Rows) -> None:
-        """Something has moved in the stretch that is over."""
+    def _moves(self, k: int, known: bool, moving: int, end: int, events: Rows) -> None:
+        """Something, so many blocks of it, has moved in the stretch that is over."""
         beds, limits = self.beds, self.limits
         self.still[k] = 0
         self.alive[k] = self.alive[k] + 1 if self.state[k] == OUT else 0
-        # a few blocks on the edges of what rests tremble, too: where breath was usually seen, it or more movement brings the sleeper back
-        rests = self.doubt[k] == STILL and self.watch.silent(k)
+        # where breath was usually seen, it brings the sleeper back, or more movement than that of blocks at the edges of what rests
+        few = moving <= TREMBLE * beds.regions[k, 2] * beds.regions[k, 3]
+        rests = few and self.doubt[k] == STILL and self.watch.silent(k)
         if self.state[k] == UNKNOWN and not rests and (not known or self.doubt[k] in (STILL, CAMERA)):
             if not known:
                 self.bodies.take(k, beds.part(k), beds.stretch(k), limits.rise_mm)
