@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 Event = tuple[Any, ...]
-KNOWN, SHARED, FAR, STILL, NOISE, TRAVELS = 2, 4, 100.0, 0.12, 1.5, 0.5
+KNOWN, SHARED, FAR, CALM, LEAST, STILL, NOISE, TRAVELS = 2, 4, 100.0, 3.0, 0.02, 0.12, 1.5, 0.5
 SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
 DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 256
 LONGEST_EXEMPLARS = 24
-CHANCE, SMALLER = 0.7, 0.8
+CHANCE = 0.7
 STANDS, EXTENT, HOME, LIKE_IT, MOST = 0.75, 2.0, 0.4, 0.5, 128
 
 
@@ -126,10 +126,12 @@ class Reference:
         self.moves: list[float] = []
         self.rested: set[int] = set()
         self.moved = self.peak = 0.0
+        self.calmest = np.inf
         self.peak_at = 0
         self.resting: list[int] = []
         self.rest_from, self.rest_to = 0, -1
-        self.stood = False
+        self.stood = self.paused = False
+        self.parked = -1
         self.measured: dict[tuple[int, int, int], float] = {}
         self.p, self.share, self.fixed = frames, share, radius
         self.radius, self.band, self.early = radius or 0.0, frames["max_band"], 0.0
@@ -171,10 +173,18 @@ class Reference:
 
     def leave_out(self, count: int) -> None:
         """A frame is left out, as so many in a row."""
-        if count == self.p["transition"] + 1 and not self.open:
+        if self.parked >= 0 or not self.frames:
+            return
+        repeated = not self.paused and ((self.open and self.count > 1) or (self.held and self.held.cycles > 1))
+        if count == self.p["max_lag"] or (count == self.p["transition"] + 1 and self.resting and repeated):
+            stop = self.now + 1
+            while self.resting and stop > self.untold and stop - 1 in self.rested:
+                stop -= 1
+            first = self.close_all(0, stop)
+            if self.resting:
+                self.parked = self.frames[first] if first < len(self.frames) else self.rest_from
+        elif count == self.p["transition"] + 1 and not self.open:
             self.let_go()
-        if count == self.p["max_lag"] and self.frames:
-            self.close_all(0)
 
     def unseen(self, i: int) -> bool:
         """Whether frame `i` is left out, as nothing has been known for long, or ever."""
@@ -195,15 +205,11 @@ class Reference:
     # Rest
 
     def rests(self, i: int) -> bool:
-        """Whether frame `i`, as it came, is left out: it has moved less than a share of what the liveliest frames do."""
+        """Whether frame `i`, as it came, is left out: it has moved little."""
         n = self.p["rest"]
         self.moved = self.movement(i)
-        if i < n or self.moved >= STILL * self.peak:
-            if self.resting:
-                self.tell("rest", self.rest_from, self.resting[-1])
-                if len(self.resting) > self.p["transition"]:
-                    self.resumed = len(self.frames)
-                self.resting = []
+        if i < n or self.moved >= self.calm():
+            self.tell_rest(0)
             return False
         if not self.resting:
             self.stood = True
@@ -218,6 +224,23 @@ class Reference:
         self.rest_to = i
         return True
 
+    def tell_rest(self, forced: int) -> None:
+        """A rest, if there was one, is over; it may be an activity of its own."""
+        if not self.resting:
+            return
+        self.tell("rest", self.rest_from, self.resting[-1])
+        if len(self.resting) > self.p["transition"]:
+            self.resumed = len(self.frames)
+        if self.parked >= 0:
+            self.events.append(
+                ("primitive", self.frame, self.parked, self.resting[-1], self.activity, 0, -1, forced, 0)
+            )
+            self.settle_count(self.activity, 0)
+            self.certain.append(0.0)
+            self.events.append(("activity", self.frame, self.parked, self.resting[-1], self.activity, 0, -1, forced, 0))
+            self.activity += 1
+        self.resting, self.parked = [], -1
+
     def movement(self, i: int) -> float:
         """Mean distance to the REST frames before, over what is known in both, less their noise; as before, where less than half of them
         are known."""
@@ -229,10 +252,16 @@ class Reference:
         if not len(far) or 2 * len(far) < len(near) - 1:
             return self.moved
         noise = NOISE * float((steps**2).mean()) if len(steps) and 2 * (len(near) - 1) >= self.p["rest"] else 0.0
-        return math.sqrt(max(STILL**2 * noise, float(far.mean()) ** 2 - noise))
+        if len(near) - 1 >= self.p["rest"] and far.mean() > 0.0:
+            self.calmest = min(self.calmest, float(far.mean()))
+        return math.sqrt(max(1e-24, STILL**2 * noise, float(far.mean()) ** 2 - noise))
+
+    def calm(self) -> float:
+        """Who moves less is at rest."""
+        return min(STILL * self.peak, max(LEAST * self.peak, CALM * self.calmest))
 
     def at_rest(self, i: int) -> bool:
-        return self.moves[i] < STILL * self.peak
+        return self.moves[i] < self.calm()
 
     def choose_peak(self, t: int) -> None:
         """What frames worth MASS, of the window, move at least."""
@@ -365,7 +394,14 @@ class Reference:
         self.choose_band(t)
 
     def typical(self, t: int) -> float:
-        moving = [i for i in range(max(0, t - self.p["window"] + 1), t + 1) if not self.at_rest(i)]
+        """Of the window, and no more than of what has come since a longer rest."""
+        made = self.typical_since(max(0, t - self.p["window"] + 1), t)
+        if 0 < self.resumed <= t - self.p["mass"]:
+            made = min(made, self.typical_since(max(self.resumed, t - self.p["window"] + 1), t))
+        return made
+
+    def typical_since(self, first: int, t: int) -> float:
+        moving = [i for i in range(first, t + 1) if not self.at_rest(i)]
         chosen = moving[:: max(1, len(moving) // SAMPLED)]
         apart = [d for i in chosen for j in chosen if j < i and (d := self.apart(i, j, self.present[t])) < np.inf]
         return self.share * float(np.median(apart)) if apart else 0.0
@@ -581,7 +617,7 @@ class Reference:
         self.bout: list[tuple[int, int]] = []
         self.kinds = [0, 0, 0, 0]
         self.prices: list[float] = []
-        self.pending = None
+        self.pending, self.paused = None, False
         self.cluster = -1
 
     def tell_start(self) -> None:
@@ -597,22 +633,22 @@ class Reference:
         self.tell("begin", self.start, self.activity)
 
     def stretch(self, last: int, forced: int) -> None:
-        cuts = self.gaps(self.untold, last + 1, self.radius) if self.open or self.repeated > self.now else []
-        for stop in [*cuts, last + 1]:
-            end = forced if stop > last else 0
-            self.pieces = self.untold
-            count = self.tell_rest_of(stop - 1, self.activity, 0, end, self.radius)
-            self.tell_activity(Held(self.untold, stop - 1, count, -1, end, 0, 0.0, self.radius), self.activity)
-            self.activity += 1
-            self.untold = stop
+        self.pieces = self.untold
+        count = self.tell_rest_of(last, self.activity, 0, forced, self.radius)
+        self.tell_activity(Held(self.untold, last, count, -1, forced, 0, 0.0, self.radius), self.activity)
+        self.activity += 1
 
     def tell_activity(self, made: Held, number: int) -> None:
-        self.tell_count(number, made.cycles)
+        self.settle_count(number, made.cycles)
+        self.certain.append(made.certain)
+        self.tell("activity", made.first, made.last, number, made.cycles, made.cluster, made.forced, made.how)
+
+    def settle_count(self, number: int, count: int) -> None:
+        """An activity is reported with so many repetitions."""
+        self.tell_count(number, count)
         self.counted[number] = 0
         if self.believed_of == number:
             self.believed = 0
-        self.certain.append(made.certain)
-        self.tell("activity", made.first, made.last, number, made.cycles, made.cluster, made.forced, made.how)
 
     # Where activities meet
 
@@ -629,17 +665,8 @@ class Reference:
         if made is None:
             return
         self.held = None
-        cuts = [] if made.cycles else self.gaps(made.first, made.last + 1, made.radius)
-        for stop in [*cuts, made.last + 1]:
-            ends = stop == made.last + 1
-            part = made if ends else replace(made, last=stop - 1, forced=0, how=0)
-            more = self.tell_rest_of(stop - 1, self.activity - 1, made.cycles, part.forced, made.radius)
-            part = replace(part, cycles=made.cycles + more)
-            self.tell_activity(part, self.activity - 1)
-            if not ends:
-                made.first = self.pieces = stop
-                self.activity += 1
-                self.tell("begin", stop, self.activity - 1)
+        more = self.tell_rest_of(made.last, self.activity - 1, made.cycles, made.forced, made.radius)
+        self.tell_activity(replace(made, cycles=made.cycles + more), self.activity - 1)
 
     def meets(self, first: int) -> bool:
         """Whether an activity from `first` on follows the held one within a transition, and with no long rest between."""
@@ -664,38 +691,6 @@ class Reference:
             if total < best:
                 best, cut = total, i + 1
         return cut
-
-    def gaps(self, first: int, stop: int, radius: float) -> list[int]:
-        """Where a radius that is smaller, by a fifth at the most, divides frames first..stop-1, and again what it divides them into."""
-        first = max(first, stop - 3 * self.p["max_lag"], self.now + 1 - 3 * self.p["max_lag"] - self.p["firm"])
-        if first >= stop:
-            return []
-        far = np.full((stop - first, stop - first), np.inf)
-        for i in range(first, stop):
-            for j in range(i + self.band, min(stop - 1, i + self.p["max_lag"]) + 1):
-                if self.good[i] and self.good[j]:
-                    far[i - first, j - first] = far[j - first, i - first] = self.apart(j, i)
-        cuts: list[int] = []
-        self.part(far, 0, len(far), radius, cuts)
-        return [first + cut for cut in cuts]
-
-    def part(self, far: Any, first: int, stop: int, radius: float, cuts: list[int]) -> None:
-        mass = self.p["mass"]
-        across = {c: float(far[first:c, c:stop].min()) for c in range(first + mass, stop - mass + 1)}
-        runs: list[list[int]] = []
-        for c in across:
-            if runs and across[runs[-1][-1]] == across[c]:
-                runs[-1].append(c)
-            else:
-                runs.append([c])
-        for run in sorted((r for r in runs if across[r[0]] > SMALLER * radius), key=lambda r: -across[r[0]]):
-            cut, near = (run[0] + run[-1]) // 2, min(across[run[0]], radius)
-            halves = far[first:cut, first:cut], far[cut:stop, cut:stop]
-            if all((half.min(1) < near).sum() >= mass for half in halves):
-                self.part(far, first, cut, radius, cuts)
-                cuts.append(cut)
-                self.part(far, cut, stop, radius, cuts)
-                return
 
     def under_way(self, t: int) -> bool:
         q = self.paths
@@ -735,28 +730,31 @@ class Reference:
         self.seed = self.untold = last + 1
 
     def end(self) -> None:
-        if self.resting:
-            self.tell("rest", self.rest_from, self.resting[-1])
-        self.close_all(1)
+        self.tell_rest(1)
+        self.close_all(1, self.now + 1)
 
-    def close_all(self, forced: int) -> None:
+    def close_all(self, forced: int, stop: int) -> int:
+        """What is open closes with the frame before `stop`; returns the first frame that is in no activity."""
         if self.open:
             if not self.begun:
                 self.begin()
             while self.done < self.now:
                 self.done += 1
                 self.explore(self.done)
+            self.last = max(self.start, min(self.last, stop - 1))
             self.finish(bool(forced))
         elif self.believed:
             self.give_up()
         self.let_go()
-        if self.untold <= self.now:
-            self.stretch(self.now, forced)
+        if self.untold < stop:
+            self.stretch(stop - 1, forced)
         elif self.believed:
             self.conclude(0)
+        first = max(stop, self.untold)
         self.forget_returns()
         self.seed = self.untold = self.now + 1
         self.when = 0
+        return first
 
     # Cycles
 
@@ -937,6 +935,8 @@ class Reference:
         if close:
             self.count -= 1
         elif self.pending:
+            lost = self.frames[end] - self.frames[self.pending[0]] - (end - self.pending[0])
+            self.paused |= lost > self.p["transition"]
             until = self.pending[1]
             before = next((i - 1 for i in range(until + 1, start) if i in self.rested), start - 1)
             self.settle(before if start - 1 - until <= q.slack else min(until, start - 1))

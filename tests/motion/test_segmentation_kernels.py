@@ -19,7 +19,6 @@ from kinegraph.operators.segmentation.kernels.layout import (
     allocate,
 )
 from kinegraph.operators.segmentation.kernels.provisional import foresee
-from kinegraph.operators.segmentation.kernels.separation import gaps
 from kinegraph.operators.segmentation.kernels.symmetry import AT_ONCE, IN_TURN, moves, symmetry
 
 FRAMES = {
@@ -61,15 +60,6 @@ def test_sums_give_the_mean_distance_of_the_newest_cycle_to_the_one_before_it() 
     for k in (1, 7, 12):
         newest = np.arange(40 - max(k, 6), 40)
         assert np.isclose(last_cycle(s, 39, k), apart[newest, newest - k].mean())
-
-
-def test_motion_about_two_places_falls_into_two_though_frames_are_missing() -> None:
-    x = np.concatenate([circle(40), circle(40, right=1.7)])
-    for missing in ([], [5, 17, 44, 62]):
-        x[missing] = np.nan
-        assert gaps(memory(x), 0, 80, 1.0).tolist() == [40]
-    assert not len(gaps(memory(np.concatenate([circle(40), circle(40, right=0.5)])), 0, 80, 1.0))
-    assert not len(gaps(memory(np.concatenate([circle(40), circle(4, right=1.7)])), 0, 44, 1.0)), "too little of it"
 
 
 def test_two_cycles_are_believed_as_soon_as_the_second_is_seen_to_end() -> None:

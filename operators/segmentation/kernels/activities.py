@@ -24,7 +24,14 @@ from kinegraph.operators.segmentation.kernels.layout import (
 )
 from kinegraph.operators.segmentation.kernels.provisional import conclude, foresee, give_up, keep_count, look_ahead
 from kinegraph.operators.segmentation.kernels.repetitions import accept, explore, search_from, take_up, under_way
-from kinegraph.operators.segmentation.kernels.rest import at_rest, choose_peak, rests, tell_rest, unseen
+from kinegraph.operators.segmentation.kernels.rest import (
+    at_rest,
+    choose_peak,
+    reported_at_rest,
+    rests,
+    tell_rest,
+    unseen,
+)
 from kinegraph.stream.chunk import Samples, Times
 from kinegraph.stream.kernel import kernel
 
@@ -64,11 +71,23 @@ def follow(s: Memory, x: Samples, mirrored: Samples, time: Times, first: int, ga
 
 @kernel
 def leave_out(s: Memory, count: int) -> None:
-    """The newest `count` frames were left out: after a transition no activity can meet the one before, after `max_lag` all ends."""
-    if count == s.transition + 1 and not s.is_open:
-        let_go(s)
-    if count == s.max_lag:
+    """The newest `count` frames were left out.
+
+    After a transition no activity can meet the one before. A longer rest is an activity of its own if it follows repetitions, unless they
+    have such rests between them; what lasts for `max_lag` ends everything.
+    """
+    if s.is_parked or s.next_frame == s.since:
+        return
+    if count == s.max_lag or (count == s.transition + 1 and s.rested and has_repeated(s)):
         stand(s)
+    elif count == s.transition + 1 and not s.is_open:
+        let_go(s)
+
+
+@kernel
+def has_repeated(s: Memory) -> bool:
+    """Whether the activity that is open, or was last, has repetitions without longer rests between them."""
+    return bool(not s.is_paused and ((s.is_open and s.count > 1) or (s.is_held and s.held_cycles > 1)))
 
 
 @kernel
@@ -168,7 +187,7 @@ def begin(s: Memory) -> None:
         return
     s.is_begun, s.is_start_final, s.has_returned = True, False, False
     s.start = first
-    s.is_pending = False
+    s.is_pending = s.is_paused = False
     s.count = s.cycles = s.outings = s.bout = 0
     s.kinds[:], s.prices = 0, 0.0
     s.cluster = -1
@@ -242,40 +261,52 @@ def finish(s: Memory, forced: bool) -> None:
 @kernel
 def end(s: Memory) -> None:
     """The stream ends, or a gap follows: what is open closes by force, and all but the exemplars is forgotten."""
-    tell_rest(s)
+    tell_rest(s, True)
     s.has_rested = False
     s.recent_count = s.unseen = 0
-    close_all(s, True)
+    close_all(s, True, s.next_frame)
     s.since = s.next_frame
     s.repeated_until = 0
 
 
 @kernel
 def stand(s: Memory) -> None:
-    """Somebody has rested, or not been seen, for as long as a cycle may last: what is open closes. What the motion was like stays known."""
-    close_all(s, False)
+    """Somebody has rested, or not been seen, for long: what is open closes. What the motion was like stays known.
+
+    A rest is the next activity, from the first of its frames on that was worked through before it was noticed.
+    """
+    stop = s.next_frame
+    while s.rested and stop > s.unreported and reported_at_rest(s, stop - 1):
+        stop -= 1
+    first = close_all(s, False, stop)
+    if s.rested:
+        s.is_parked = True
+        s.parked_at = s.times[first % s.times.shape[0]] if first < s.next_frame else s.rest_from
 
 
 @kernel
-def close_all(s: Memory, forced: bool) -> None:
-    """What is open closes, with the newest frame that was worked through."""
+def close_all(s: Memory, forced: bool, stop: int) -> int:
+    """What is open closes, with the frame before `stop`; returns the first frame that is in no activity."""
     newest = s.next_frame - 1
     if s.next_frame == s.since:
-        return
+        return int(s.next_frame)
     if s.is_open:
         if not s.is_begun:
             begin(s)
         while s.done < newest:
             s.done += 1
             explore(s, s.done)
+        s.last = max(s.start, min(s.last, stop - 1))
         finish(s, forced)
     elif s.believed:
         give_up(s)
     let_go(s)
-    if s.unreported <= newest:
-        stretch(s, newest, forced)
+    if s.unreported < stop:
+        stretch(s, stop - 1, forced)
     elif s.believed:
         conclude(s, 0)
+    first = max(stop, s.unreported)
     forget_returns(s)
     s.seed = s.unreported = s.next_frame
     s.radius_due = s.near_count = 0
+    return int(first)

@@ -162,8 +162,17 @@ def choose_radius(s: Memory, t: int) -> None:
 
 @kernel
 def typical(s: Memory, t: int) -> float:
-    """A share of the median distance between the window's frames that are not at rest."""
-    moving = lively(s, max(s.since, t - s.window + 1), t)
+    """A share of the median distance between the window's frames that are not at rest; no more than that of those since a longer rest."""
+    radius = typical_since(s, max(s.since, t - s.window + 1), t)
+    if s.resumed > s.since and t - s.resumed >= s.mass:
+        radius = min(radius, typical_since(s, max(s.resumed, t - s.window + 1), t))
+    return radius
+
+
+@kernel
+def typical_since(s: Memory, first: int, t: int) -> float:
+    """The same for frames first..t."""
+    moving = lively(s, first, t)
     step = max(1, len(moving) // SAMPLED)
     n = (len(moving) + step - 1) // step
     apart = np.empty(n * (n - 1) // 2)

@@ -9,11 +9,9 @@ from kinegraph.operators.segmentation.kernels.events import certainty, tell
 from kinegraph.operators.segmentation.kernels.excursions import tell_excursions
 from kinegraph.operators.segmentation.kernels.layout import (
     ACTIVITY_EVENT,
-    BEGIN_EVENT,
     PRIMITIVE_EVENT,
     Memory,
 )
-from kinegraph.operators.segmentation.kernels.separation import gaps
 from kinegraph.stream.kernel import kernel
 
 
@@ -33,20 +31,7 @@ def let_go(s: Memory) -> None:
     if not s.is_held:
         return
     s.is_held = False
-    if not s.held_cycles:
-        for cut in gaps(s, s.held_first, s.held_last + 1, s.held_radius):
-            tell_held(s, cut - 1, s.times[(cut - 1) % s.times.shape[0]], 0)
-            s.activity += 1
-            s.pieces_from, s.held_at = cut, s.times[cut % s.times.shape[0]]
-            s.pieces_at = s.held_at
-            tell(s, BEGIN_EVENT, s.held_at, s.activity - 1, 0, 0, 0, 0)
-    tell_held(s, s.held_last, s.held_to, s.held_how)
-
-
-@kernel
-def tell_held(s: Memory, last: int, to: int, how: int) -> None:
-    """The held activity ends with frame `last`, stamp `to`, after a part that is no repetition, if there is one."""
-    count = s.held_cycles
+    last, to, how, count = s.held_last, s.held_to, s.held_how, s.held_cycles
     if s.pieces_from <= last:
         count += tell_excursions(s, last, s.activity - 1, count, s.held_radius)
     if s.pieces_from <= last:

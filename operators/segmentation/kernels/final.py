@@ -15,7 +15,6 @@ from kinegraph.operators.segmentation.kernels.layout import (
     PRIMITIVE_EVENT,
     Memory,
 )
-from kinegraph.operators.segmentation.kernels.separation import gaps
 from kinegraph.operators.segmentation.kernels.symmetry import leader, symmetry
 from kinegraph.stream.kernel import kernel
 
@@ -124,24 +123,12 @@ STRETCH = 2
 
 @kernel
 def stretch(s: Memory, last: int, forced: bool) -> None:
-    """Frames `unreported` to `last`, between activities, repeat nothing: one primitive, or where they fall into several, one each."""
-    parted = 0
-    if s.is_open or s.repeated_until >= s.next_frame:
-        for cut in gaps(s, s.unreported, last + 1, s.radius):
-            passage(s, cut - 1, 0)
-            s.unreported, s.unreported_at = cut, s.times[cut % s.times.shape[0]]
-            parted = 1
-    passage(s, last, forced if parted else STRETCH + forced)
-
-
-@kernel
-def passage(s: Memory, last: int, how: int) -> None:
-    """Frames `unreported` to `last` are an activity that repeats nothing."""
+    """Frames `unreported` to `last`, between activities, repeat nothing, unless they hold gestures from a resting pose."""
     onset, stop = s.unreported_at, s.times[last % s.times.shape[0]]
     s.pieces_from, s.pieces_at = s.unreported, onset
     found = tell_excursions(s, last, s.activity, 0, s.radius)
     if s.pieces_from <= last:
-        tell(s, PRIMITIVE_EVENT, s.pieces_at, stop, s.activity, 0, -1, how & 1)
+        tell(s, PRIMITIVE_EVENT, s.pieces_at, stop, s.activity, 0, -1, forced)
     settle_count(s, s.activity, found)
-    tell(s, ACTIVITY_EVENT, onset, stop, s.activity, found, -1, how if not found else how & 1)
+    tell(s, ACTIVITY_EVENT, onset, stop, s.activity, found, -1, forced if found else STRETCH + forced)
     s.activity += 1

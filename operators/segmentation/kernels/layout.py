@@ -88,6 +88,7 @@ class Numbers:
     like_count: int  # repetitions reported since the exemplar was taken up
     farthest: float  # how far they lie from it at the most
 
+    is_paused: bool  # whether longer rests lie between its repetitions
     bout: int  # bouts of the open activity that are reported
     bout_count: int  # repetitions in the one under way
     bout_at: int  # stamps of its first repetition's onset and of its last one's end
@@ -124,19 +125,22 @@ class Numbers:
     moved: float  # how much the newest frame moves
     peak: float  # how much the window's liveliest frames move
     peak_due: int  # when that is judged again
-    still_share: float  # see STILL
     rested: int  # frames left out by the rest under way; 0: there is none
     rest_from: int  # stamps of its first and newest frame
     rest_to: int
+    is_parked: bool  # whether it is an activity of its own
+    parked_at: int  # from when on
     has_rested: bool  # whether a rest has been reported since the start or a gap
     resumed: int  # the first frame after the last longer rest, or after nothing was known for longer
+    calmest: float  # how far the frames of the calmest `rest` so far lie apart, the sensor's noise included
     unseen: int  # in a row, up to the newest, of which nothing was known
 
 
 NUMBERS = numbers_of(Numbers)
 
-STILL = 0.12
-"""Who has moved less than this share of what the window's liveliest frames do, is at rest."""
+CALM, LEAST, STILL = 3.0, 0.02, 0.12
+"""Who moves less than CALM times what the calmest second so far did, is at rest: by more than the sensor's noise and a body's sway. It is
+at least LEAST and at most STILL times what the window's liveliest frames do."""
 NOISE = 1.5
 """Noise is this many times the squares of what frames differ by from one to the next: more than once, as it adds up to more at times."""
 TRAVELS = 0.5
@@ -295,5 +299,5 @@ def allocate(
     made.band, made.patchy = frames["max_band"], NEVER_KNOWN
     made.best_start = made.best_end = -1
     made.best = made.price = math.inf
-    made.still_share, made.travel_share = STILL, TRAVELS
+    made.travel_share, made.calmest = TRAVELS, math.inf
     return made

@@ -92,7 +92,7 @@ def change(s: Memory, origin: int) -> None:
     s.seed = s.unreported = s.pieces_from
     s.unreported_at = s.pieces_at
     s.start, s.is_start_final = max(origin, s.seed), False
-    s.is_pending = False
+    s.is_pending = s.is_paused = False
     s.count = s.cycles = s.outings = s.bout = 0
     s.kinds[:], s.prices = 0, 0.0
     s.cluster = -1
@@ -133,6 +133,7 @@ def accept(s: Memory) -> None:
     if close:
         s.count -= 1
     elif s.is_pending:
+        s.is_paused |= left_out(s, s.pending_from, end) > s.transition
         settle(
             s,
             before_rest(s, start - 1) if start - 1 - s.pending_to <= slack(s.length) else min(s.pending_to, start - 1),
@@ -150,6 +151,13 @@ def accept(s: Memory) -> None:
     forget_returns(s)
     tell_span(s, stamp(s, start), stamp(s, end), s.activity, s.count)
     release(s)
+
+
+@kernel
+def left_out(s: Memory, first: int, last: int) -> int:
+    """How many frames were left out between frames `first` and `last`, of rests as a rule."""
+    apart = s.times[last % s.times.shape[0]] - s.times[first % s.times.shape[0]]
+    return int(apart / s.period_ns + 0.5) - (last - first)
 
 
 @kernel

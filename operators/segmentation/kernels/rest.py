@@ -7,16 +7,25 @@ import math
 
 import numpy as np
 
+from kinegraph.operators.segmentation.kernels.corrections import settle_count
 from kinegraph.operators.segmentation.kernels.events import tell
 from kinegraph.operators.segmentation.kernels.layout import (
+    ACTIVITY_EVENT,
+    CALM,
+    LEAST,
     NOISE,
+    PRIMITIVE_EVENT,
     REST_EVENT,
     RESTING_EVENT,
+    STILL,
     Memory,
 )
 from kinegraph.stream.chunk import Samples
 from kinegraph.stream.data.ordering import select
 from kinegraph.stream.kernel import kernel
+
+NOTHING = 1e-24
+"""Nothing moves less: how much a frame moves has a sign, which says whether it lies in a rest."""
 
 
 @kernel
@@ -33,8 +42,8 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
     s.recent_at[place] = stamp
     for d in range(x.shape[0]):
         s.recent[place, d] = x[d]
-    if s.recent_count <= s.rest or s.moved >= s.still_share * s.peak:
-        tell_rest(s)
+    if s.recent_count <= s.rest or s.moved >= calm(s):
+        tell_rest(s, False)
         return False
     if not s.rested:
         s.rest_from = stamp
@@ -49,6 +58,12 @@ def rests(s: Memory, x: Samples, stamp: int) -> bool:
     s.rested += 1
     s.rest_to = stamp
     return True
+
+
+@kernel
+def calm(s: Memory) -> float:
+    """Who moves less than this is at rest."""
+    return float(min(STILL * s.peak, max(LEAST * s.peak, CALM * s.calmest)))
 
 
 @kernel
@@ -76,13 +91,20 @@ def unseen(s: Memory, x: Samples) -> bool:
 
 
 @kernel
-def tell_rest(s: Memory) -> None:
+def tell_rest(s: Memory, forced: bool) -> None:
     """A rest, if there was one, is over."""
-    if s.rested:
-        tell(s, REST_EVENT, s.rest_from, s.rest_to, 0, 0, 0, 0)
-        if s.rested > s.transition:
-            s.resumed = s.next_frame
-        s.rested = 0
+    if not s.rested:
+        return
+    tell(s, REST_EVENT, s.rest_from, s.rest_to, 0, 0, 0, 0)
+    if s.rested > s.transition:
+        s.resumed = s.next_frame
+    s.rested = 0
+    if s.is_parked:
+        s.is_parked = False
+        tell(s, PRIMITIVE_EVENT, s.parked_at, s.rest_to, s.activity, 0, -1, forced)
+        settle_count(s, s.activity, 0)
+        tell(s, ACTIVITY_EVENT, s.parked_at, s.rest_to, s.activity, 0, -1, forced)
+        s.activity += 1
 
 
 @kernel
@@ -107,8 +129,9 @@ def moved(s: Memory, x: Samples) -> float:
         before: float = s.moved
         return before
     mean, noise = total / count, NOISE * steps / pairs if pairs and 2 * frames >= s.rest else 0.0
-    least = s.still_share * s.still_share * noise
-    return math.sqrt(max(least, mean * mean - noise))
+    if frames >= s.rest and mean > 0.0:
+        s.calmest = min(s.calmest, mean)
+    return math.sqrt(max(NOTHING, STILL * STILL * noise, mean * mean - noise))
 
 
 @kernel
@@ -167,7 +190,7 @@ def tell_first_rest(s: Memory, first: int, t: int) -> None:
 @kernel
 def at_rest(s: Memory, i: int) -> bool:
     """Whether frame `i`, which was worked through, would be left out by what is known of the motion now."""
-    return bool(abs(s.moves[i % s.moves.shape[0]]) < s.still_share * s.peak)
+    return bool(abs(s.moves[i % s.moves.shape[0]]) < calm(s))
 
 
 @kernel
