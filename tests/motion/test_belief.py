@@ -93,7 +93,7 @@ def test_gestures_from_a_resting_pose_are_believed_as_they_come_back_to_it() -> 
 
 
 @needs_data
-@pytest.mark.parametrize(("recorded", "repetitions", "most"), [(annotated, 148, 20), (gestures, 150, 7)])
+@pytest.mark.parametrize(("recorded", "repetitions", "most"), [(annotated, 148, 20), (gestures, 149, 7)])
 def test_recorded_repetitions_are_believed_within_half_their_length(recorded: Any, repetitions: int, most: int) -> None:
     late, seen, taken = {}, 0, 0
     for name, x in recorded():
