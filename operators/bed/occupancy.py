@@ -33,7 +33,7 @@ need not be within a region."""
 MIN_SHARE = 0.05
 """Who covers less of a region that is too large may be a pet."""
 TREMBLE = 0.03
-"""So much of a region may seem to move though nothing does: blocks on the edges of a heap near the camera (5 of 338 in chosen rooms)."""
+"""This share of a region may seem to move though nothing does: blocks on the edges of a heap near the camera (5 of 338 in chosen rooms)."""
 ALIVE = 0.005
 """This much of a region must move (2 blocks at least) to be somebody."""
 
@@ -275,7 +275,7 @@ class Occupancy:
             self._become(k, OUT, end - round(quiet_s * NS), end - 1, events)
 
     def _moves(self, k: int, known: bool, moving: int, end: int, events: Rows) -> None:
-        """Something, so many blocks of it, has moved in the stretch that is over."""
+        """Something has moved in the stretch that is over: this number of its blocks."""
         beds, limits = self.beds, self.limits
         self.still[k] = 0
         self.alive[k] = self.alive[k] + 1 if self.state[k] == OUT else 0

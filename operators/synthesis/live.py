@@ -25,7 +25,7 @@ from kinegraph.stream.params import param
 
 TRANSITION = np.dtype([("onset", "<i8"), ("plays", "<i8"), ("ago_s", "<f8"), ("x_m", "<f8"), ("z_m", "<f8")])
 ASKED = 8
-"""Of so many nearest frames the first that is still kept is taken."""
+"""Of this many nearest frames the first that is still kept is taken."""
 STILL_M_S, LOW_M = 0.35, 0.07
 """A foot stands while its toes are slower than this, and no more than this above the lowest that they were."""
 TOES = (BONES.index("LeftToes"), BONES.index("RightToes"))

@@ -31,11 +31,11 @@ from kinegraph.stream.domain.skeleton import JointTree, joints_of
 
 ANKLES = np.array([BONES.index("LeftFoot"), BONES.index("RightFoot")])
 EVERY_S = 0.25
-"""A transition is looked for so often."""
+"""A transition is looked for this often."""
 HALF_LIFE_S = 0.1
 """The offset of a transition takes so long to halve."""
 PLAYED_S = 0.3
-"""A frame is entered only if its take lasts so much longer."""
+"""A frame is entered only if its take lasts this much longer."""
 MOVES_M_S = 0.5
 """Who is slower does not walk."""
 OTHER_GAIT = 3.0

@@ -17,7 +17,7 @@ FEATURES = 27
 PLACE, FACING, ANKLE, ANKLE_SPEED, ROOT_SPEED = 2.0, 3.0, 3.75, 1.0, 1.7
 """Weight over usual spread of each kind of feature (m, unit vector, m, m/s, m/s): weights of Holden et al. 2020, spreads of walks."""
 MIN_FRAMES = 3
-"""A transition leads so many frames away at least."""
+"""A transition leads at least this many frames away."""
 TURN_AT_M = 0.25
 """A point of the path that is nearer than this does not say where to face."""
 
