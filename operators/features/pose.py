@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from kinegraph.operators.features.skeleton import SETS, find_joints, pairs
+from kinegraph.operators.features.skeleton import HIPS_AND_SHOULDERS, SETS, find_joints, pairs
 from kinegraph.operators.inputs.directions import HELP, right_handed_up
 from kinegraph.operators.inputs.lengths import CM, length_of
 from kinegraph.operators.inputs.marker_columns import marker_columns
@@ -156,7 +156,7 @@ class Pose(Operator[PoseState]):
         shown = SETS.get(self.points, ())
         hips = ("hip_l", "hip_r") if self.heading else ()
         wanted = dict.fromkeys((*hips, *(("root",) if self.root else ()), *shown, *body))
-        found = find_joints(names, wanted, self.joints or {})
+        found = find_joints(names, wanted, self.joints or {}, HIPS_AND_SHOULDERS)
         if self.points == "all":
             shown = names
             found = {**found, **{name: (name,) for name in names if name not in found}}

@@ -17,16 +17,21 @@ SETS: dict[str, tuple[str, ...]] = {
     ),
 }  # fmt: skip
 """Pose sets: five points (15 numbers), and these with knees, elbows and neck (30 numbers)."""
-MIDDLES = {"root": ("hip_l", "hip_r"), "neck": ("shoulder_l", "shoulder_r")}
+HIPS = {"root": ("hip_l", "hip_r")}
+"""Where no point is called root, it is between the hips."""
+HIPS_AND_SHOULDERS = {**HIPS, "neck": ("shoulder_l", "shoulder_r")}
 
 
 def find_joints(
-    points: Iterable[str], wanted: Iterable[str], given: Mapping[str, tuple[str, ...]]
+    points: Iterable[str],
+    wanted: Iterable[str],
+    given: Mapping[str, tuple[str, ...]],
+    between: Mapping[str, tuple[str, ...]] = HIPS,
 ) -> dict[str, tuple[str, ...]]:
     """For each wanted joint, the points to average: the given ones, else those found by the joint's names.
 
-    Joints are called "root", "neck", "head", and "ankle", "knee", "hip", "wrist", "elbow", "shoulder" with "_l" or "_r". Root
-    and neck need not be found: they are then the middle of both hips, of both shoulders. Raises ParameterError for one that is not there.
+    Joints are called "root", "neck", "head", and "ankle", "knee", "hip", "wrist", "elbow", "shoulder" with "_l" or "_r". One
+    of `between` need not be found: it is then the middle of those two. Raises ParameterError for one that is not there.
     """
     names = list(points)
     plain: dict[str, str] = {}
@@ -43,8 +48,8 @@ def find_joints(
     for joint in wanted:
         if joint not in found:
             made = _first(joint, plain)
-            if made is None and joint in MIDDLES:
-                made = tuple(part for side in MIDDLES[joint] for part in found.get(side) or _first(side, plain) or ())
+            if made is None and joint in between:
+                made = tuple(part for side in between[joint] for part in found.get(side) or _first(side, plain) or ())
             if not made:
                 raise ParameterError(
                     "joints",

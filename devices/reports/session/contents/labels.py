@@ -108,7 +108,9 @@ def column(field: str, spec: StreamSpec) -> Column | None:
 
 def is_angle(spec: StreamSpec | None) -> bool:
     """Whether amplitudes are angles, which have two signs and no natural zero: shares of them mean nothing."""
-    return spec is not None and (spec.unit_of("peak") if spec.is_event else "".join(set(spec.units))) == "deg"
+    if spec is None or (spec.is_event and "peak" not in spec.channels):
+        return False
+    return (spec.unit_of("peak") if spec.is_event else "".join(set(spec.units))) == "deg"
 
 
 def facts(session: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
