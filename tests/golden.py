@@ -235,8 +235,9 @@ def read(path: Path) -> str:
 
 
 def operators() -> dict[str, Path]:
-    """By operator, the file of its golden answer."""
-    return {use: ANSWERS / f"{use}.txt" for use in catalogue(("operators",))[0]}
+    """By operator, the file of its golden answer; a source of motion is none."""
+    found = catalogue(("operators",))[0].items()
+    return {use: ANSWERS / f"{use}.txt" for use, part in found if issubclass(part, Operator)}
 
 
 def main() -> int:
