@@ -34,7 +34,7 @@ class Segment(Operator[SegmentState]):
     mirrored     input, optional: the same through operators.features.mirror.Mirror, for `side` and `symmetry`
     activity     final, one after another without holes: onset, end (ns; the stamp of the last frame that belongs to it), activity (its
                  number, from 0), repeats (whether repetitions were found), cluster (of its last repetition; or -1), repetitions,
-                 transition (a stretch between activities no longer than `transition_s`; a longer rest that follows two repetitions or more is
+                 transition (a stretch between activities no longer than `transition_s`; a longer rest after two repetitions or more is
                  an activity without repetitions), forced (ended by a gap or the end of the stream),
                  symmetry (of most of its repetitions; 1: both sides do the same at once, 2: in turn, 3: not; 0: not known),
                  certainty (0 to 1, by how near its repetitions come to one another; 0: motion of random phases comes as near, so that it
@@ -96,7 +96,9 @@ class Segment(Operator[SegmentState]):
     firm_s: float = param(8.0, above=0.0, help="after its opening, until its start is final; no less than 2.86 cycle_s")
     band_s: tuple[float, float] = param((0.4, 0.7), above=0.0, help="bounds of the band around the diagonal")
     rest_s: float = param(1.0, above=0.0, help="who has hardly moved for so long is at rest")
-    transition_s: float = param(2.5, least=0.0, help="a longer stretch between two activities, or rest after repetitions, is one of its own")
+    transition_s: float = param(
+        2.5, least=0.0, help="a longer stretch between activities, or rest after repetitions, is one of its own"
+    )
     reset_gap_s: float = reset_gap(1.0, "a longer gap ends what is open")
 
     def open(self, specs: Specs) -> Specs:
