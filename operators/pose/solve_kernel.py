@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from kinegraph.operators.pose.limb_kernel import (
     ARM,
+    EAR_AT,
     ELBOW_AT,
     FOOT,
     HAND,
@@ -191,7 +192,8 @@ def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float, rest_
     prior(s)
     fit_pose(s.marks, s.present, s.from_bone, s.parents, s.offsets, s.turns, s.joints, s.work)
     standing = s.memory[FRAMES] if s.memory[CALIBRATED] == 0.0 else 0.0
-    shown = not s.present[NOSE_AT] or shows_head(s.marks, s.seen, standing, s.head)
+    whole = s.present[NOSE_AT] and s.present[EAR_AT] and s.present[EAR_AT + 1]
+    shown = not whole or shows_head(s.marks, s.seen, standing, s.head)
     steady_head(s.turns, dt, shown, standing, s.head, s.work)
     if first:
         s.followed[:] = s.turns

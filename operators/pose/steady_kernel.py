@@ -123,8 +123,9 @@ def shows_head(marks: Samples, seen: Array, standing: float, head: Samples) -> b
         ears += (marks[EAR_AT, a] - marks[EAR_AT + 1, a]) ** 2
     nose, ears = math.sqrt(nose), math.sqrt(ears)
     if standing > 0.0:
-        head[NOSE_M] += (nose - head[NOSE_M]) / standing
-        head[EARS_M] += (ears - head[EARS_M]) / standing
+        count = standing if head[NOSE_M] > 0.0 else 1.0  # they may first be seen late in the calibration
+        head[NOSE_M] += (nose - head[NOSE_M]) / count
+        head[EARS_M] += (ears - head[EARS_M]) / count
         return True
     if head[NOSE_M] == 0.0 or head[EARS_M] == 0.0:
         return True

@@ -86,6 +86,23 @@ def test_ears_that_are_not_seen_leave_the_head_as_it_was_turned() -> None:
     assert away.max() < 3.0
 
 
+def test_a_head_with_a_nose_and_no_ears_follows_its_marker() -> None:
+    names = (*USUAL, "nose")
+    x = marks(names, np.repeat(POSES[:1], 120, axis=0))
+    x[60:, [names.index("head"), names.index("nose")]] += [0.1, -0.02, 0.0]
+    turns = joints_of(TREE, played(x, names)[0])[0][:, BONES.index("Head")]
+    assert 2 * np.degrees(np.arccos(np.abs(turns[-1] @ turns[58]))) > 10.0
+
+
+def test_a_head_that_is_first_seen_late_in_the_calibration_turns_afterwards() -> None:
+    turned, at, angle = np.repeat(POSES[:1], 150, axis=0), 3 + 4 * BONES.index("Head"), 0.6
+    turned[60:, at], turned[60:, at + 2] = np.cos(angle / 2), np.sin(angle / 2)
+    x = marks(FACE, turned)
+    x[:20, [FACE.index("ear_l"), FACE.index("ear_r")]] = np.nan
+    turns = joints_of(TREE, played(x, FACE, calibrate_s=1.0)[0])[0][:, BONES.index("Head")]
+    assert 2 * np.degrees(np.arccos(np.abs(turns[-1] @ turns[58]))) > 25.0
+
+
 def test_a_nose_that_leaps_for_a_frame_does_not_throw_the_head_back() -> None:
     x = marks(FACE, np.repeat(POSES[:1], 90, axis=0))
     x[60, FACE.index("nose")] += [0.0, 0.25, -0.1]
