@@ -1,4 +1,4 @@
-"""What a walk is for, as a person says it and as the search knows it."""
+"""The aims of a walk: as they are given, and as the search on the graph takes them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Aim:
 
 
 def sought(graph: MotionGraph, seconds: Samples, aim: Aim) -> Sought:
-    """An aim as the search on the graph knows it; `seconds` as `seconds_to` says. Paths are followed by motion matching."""
+    """An aim as the search on the graph knows it; `seconds` as `seconds_to` returns them. Paths are followed by motion matching."""
     mine = graph.core & (graph.cluster == aim.cluster)
     if aim.path is not None or aim.cluster < 0:
         return Sought(np.zeros(len(mine), np.bool_), np.zeros(len(mine)))

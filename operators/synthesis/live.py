@@ -116,7 +116,7 @@ class LiveWalk(_Walking):
             raise InputError("pose", spec.describe(), "poses of the humanoid skeleton")
         if "node" in specs and not set(specs["node"].dtype.names or ()) >= {"onset", "end"}:
             raise InputError("node", specs["node"].describe(), "events with the fields onset and end")
-        path = np.array([*self.path, self.path[0]], np.float64)
+        path = np.array([*self.path, *self.path[:1]], np.float64).reshape(-1, 2)
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
         if length[-1] < 4 * ARRIVED_M:
             raise ParameterError("path", [list(p) for p in self.path], f"a way of {4 * ARRIVED_M:g} m or more")

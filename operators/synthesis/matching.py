@@ -94,7 +94,7 @@ class PlayedMotion:
         return out
 
     def walking_speed(self, rate_hz: float, frames: Array | None = None) -> float:
-        """m/s: the median over the frames (or `frames` (n,) of them) that move at all; `MOVES_M_S` where none does."""
+        """m/s: the median over the frames (or `frames` (n,) of them) that move at all; `MOVES_M_S` if there are no such frames."""
         second = round(rate_hz)
         first = np.arange(max(0, min(self.count, len(self.poses)) - second))
         first = first[self.last[first] == self.last[first + second]]
@@ -111,7 +111,7 @@ class Played:
     place (3,)            turn and shift (x, z) of what is played
     off, change (1 + j, 3)  the offset of the last transition, which decays, and how it changes a frame
     shown (2, w)          the last two poses that were shown
-    frame, since          the frame that was shown last, -1: not yet any; how many frames ago the last search was
+    frame, since          the frame that was shown last, -1: not yet; how many frames ago the last search was
     """
 
     place: Samples

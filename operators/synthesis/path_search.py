@@ -29,7 +29,7 @@ class Start:
 
 
 class WaySearch:
-    """One search at a time on a graph. `edge`: what it has found; -1: nothing (yet). `first_leave`: when the earliest way leaves."""
+    """One search at a time on a graph. `edge`: what it has found; -1: nothing (yet). `due`: the frame at which it must be known."""
 
     def __init__(self, graph: MotionGraph, areas: Samples, random: np.random.Generator) -> None:
         self.graph, self.areas, self.random = graph, areas, random

@@ -138,7 +138,7 @@ class Synthesis(Source):
         aims = self.aims(graph)
         walker = GraphWalk(graph, aims, np.array(self.forbidden).reshape(-1, 3), self.seed)
         begun, last = feed.now(), round(self.duration_s * graph.rate_hz)
-        nearest_m, since, trespasses = np.inf, 0, 0
+        nearest_m, since, trespasses, aim_count = np.inf, 0, 0, len(aims)
         self._emit(feed, walker, begun)
         for frame in range(last) if last else count():
             stamp = begun + round(frame * NS / graph.rate_hz)
@@ -158,6 +158,8 @@ class Synthesis(Source):
                 feed.problem("frames in a forbidden area")
             if aims and walker.progress.over and self.then == "stop":
                 return
+            if len(walker.progress.aims) != aim_count:  # another path, with an end of its own
+                nearest_m, aim_count = np.inf, len(walker.progress.aims)
             left = _left(walker)
             if left < nearest_m - NEARER_M:
                 nearest_m, since = left, frame

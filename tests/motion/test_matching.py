@@ -18,6 +18,7 @@ from kinegraph.operators.synthesis.source import Synthesis
 from kinegraph.operators.synthesis.walker import GraphWalk
 from kinegraph.stream.chunk import NS, Array, Chunk, Samples, StreamSpec, Times, grid
 from kinegraph.stream.domain.skeleton import joints_of
+from kinegraph.stream.errors import ParameterError
 from tests.support.motion_made import RATE, TREE, take, walking, waving
 from tests.support.real import needs_data
 
@@ -68,6 +69,12 @@ def test_only_stretches_of_the_graph_are_entered() -> None:
     inside = [((stretches["onset"] <= at) & (at <= stretches["end"])).any() for at in jumps["plays"] - NS // 30]
     assert all(inside)
     assert np.array_equal(walk[:300], poses[:300]), "until then the avatar does what the person does"
+
+
+@pytest.mark.parametrize("path", [(), ((0.0, 0.0), (0.0, 0.5))])
+def test_a_path_that_is_too_short_to_walk_is_refused(path: tuple[tuple[float, float], ...]) -> None:
+    with pytest.raises(ParameterError, match="a way of 2 m or more"):
+        LiveWalk(path=path).open({"pose": TREE.spec(RATE)})
 
 
 def test_a_path_bends_around_what_is_forbidden() -> None:

@@ -363,6 +363,19 @@ def test_a_target_out_of_reach_ends_the_walk_and_says_so(tmp_path: Path) -> None
     assert left <= 5.0 * 2**0.5 + 0.5  # the way was counted twice: along the path, and straight to its end
 
 
+def test_a_target_far_beyond_the_paths_end_is_walked_to(
+    graph: MotionGraph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """How near the path's end came does not count for the target."""
+    monkeypatch.setattr("kinegraph.operators.synthesis.source.NOWHERE_S", 5.0)
+    graph.write(tmp_path / "graph.npz", {})
+    feed = Heard({}, most=1200)
+    path = ((0.0, 0.0), (0.0, 2.0))
+    Synthesis(model=tmp_path / "graph.npz", path=path, target=(0.0, 12.0), realtime=False).read(feed)  # type: ignore[arg-type]
+    assert not feed.reports and not feed.stopped
+    assert np.hypot(feed.poses[-1][0], feed.poses[-1][2] - 12.0) < 1.0
+
+
 def test_from_a_recording_to_an_avatar_and_a_bvh_file(tmp_path: Path, kinegraph: Command) -> None:
     """The whole way, by commands: a recorded pose, its graph, a walk on it, out by VMC and as BVH; the replay is the same."""
     Path("someone.yaml").write_text(
