@@ -1,4 +1,4 @@
-"""Serves an application of ours, of a lab or a ward, at an address: the token in it, the browser opened, until Ctrl-C."""
+"""Serves the application of a lab or a ward at an address, with its token, until Ctrl-C; opens the browser."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kinegraph.stream.text.safe_text import say
 async def serve_app(
     make: Callable[[Access], ASGIApp], name: str, after: str, address: Address, *, duration_s: float, browser: bool
 ) -> None:
-    """Serve what `make` returns until Ctrl-C, or for so long; `after` says what Ctrl-C leaves."""
+    """Serve what `make` returns until Ctrl-C, or for `duration_s`; `after`: what continues after Ctrl-C."""
     listens = listening(address, name)
     port = listens.getsockname()[1]
     app = make(Access(address.token, port, here=is_loopback(address.host)))

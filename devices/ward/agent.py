@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
@@ -47,8 +48,14 @@ log = structlog.get_logger(__name__)
 
 
 def installed() -> str:
-    """The version of kinegraph that the next start runs; not that of this process, which may have had another installed."""
-    return installed_version("kinegraph")
+    """The version of kinegraph that the next start runs; not that of this process, which may have had another installed.
+
+    "" where a failed installation has left no version: the bed is still watched and reported.
+    """
+    try:
+        return installed_version("kinegraph")
+    except PackageNotFoundError:
+        return ""
 
 
 class Agent:

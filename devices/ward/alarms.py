@@ -2,7 +2,7 @@
 
 What a receiver can rely on: one trouble has one id as long as it lasts, also when the ward is started again. `attempt` is 1 the first time
 an alarm is sent to a receiver. A higher one may have arrived before: the ward or the connection may have ended between the receiver's
-answer and the note of it. Who keeps the ids acts once.
+answer and the note of it. A receiver that keeps the ids acts once.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class AlarmBook:
         )
 
     def attempt(self, id: str, receiver: str) -> int:
-        """It is about to be sent: for the how many-th time. On the disk before it leaves."""
+        """Count one more attempt to send it, and return how many there were; on the disk before it is sent."""
         count = "INSERT INTO tried VALUES (?, ?, 1) ON CONFLICT DO UPDATE SET times = times + 1 RETURNING times"
         with self._lock:
             return int(self._base.execute(count, (id, receiver)).fetchone()[0])

@@ -33,7 +33,7 @@ class WardBed:
     """What is known of one bed. Times are of the ward's clock (s).
 
     status, agent    the last report of the graph's outlet, and of the bed's agent; {}: no report yet
-    listening_s      since when the ward has been connected: what is silent since before may have reported to nobody
+    listening_s      since when the ward has been connected: before that, reports may have been missed
     offset_s, uncertainty_s   of the bed's clock; None: not measured
     night            last night in one line
     order            what is being rolled out, and how far it is

@@ -15,6 +15,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -567,6 +568,14 @@ def test_a_version_that_does_not_run_is_rolled_back_under_the_same_graph(
     finally:
         agent.stop()
         agent.serve()
+
+
+def test_an_agent_reports_also_where_a_failed_installation_left_no_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(package: str) -> str:
+        raise PackageNotFoundError(package)
+
+    monkeypatch.setattr("kinegraph.devices.ward.agent.installed_version", gone)
+    assert installed() == ""
 
 
 def test_a_sites_accounts_open_its_server_and_others_do_not(
