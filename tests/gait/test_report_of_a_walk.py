@@ -113,11 +113,16 @@ def test_angles_of_both_legs_are_compared_at_the_same_percentage_and_in_degrees(
         LimbPanel("Knee.flexion", [0, 1], ["left", "right"]),
         LimbPanel("Elbow.flexion", [0, 2], ["left", "right"]),
     ]
-    grid = _beside(panels, mean)
+    grid = _beside(panels, mean, ["left", "right"])
     assert grid.title == "Left beside right" and [heading for heading, _ in grid.columns][1] == "left, from to"
     assert grid.rows == [
         ["Knee.flexion", "-20.0 to 20.0", "-20.0 to 20.0", "40.0", "40.0", "0.5", "+5.0 at 40 %"]
     ]  # fmt: skip
+
+
+def test_legs_without_an_angle_in_common_are_not_compared() -> None:
+    panels = [LimbPanel("Knee.flexion", [0], ["left"]), LimbPanel("Hip.flexion", [1], ["right"])]
+    assert not _beside(panels, np.zeros((100, 2)), ["left", "right"]).rows
 
 
 def test_what_only_amplitudes_have_is_not_printed_of_angles() -> None:

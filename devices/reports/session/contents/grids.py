@@ -72,7 +72,8 @@ def fill_groups(report: Report, tally: Tally, specs: Specs) -> None:
         report.grids.append(_footfalls(groups))
     if groups.indices:
         if labels.is_angle(spec) and len(limbs) == 2:
-            report.grids.append(_beside(report.panels, tally.curve.centre()))
+            beside = _beside(report.panels, tally.curve.centre(), list(limbs))
+            report.grids += [beside] if beside.rows else []
         report.grids.append(
             _symmetry(
                 groups,
@@ -159,9 +160,9 @@ def _footfalls(groups: Groups) -> Grid:
     return Grid("Footfalls", note, [("Limb", ""), ("Phase", "% of stride"), ("Duty factor", "%")], rows)
 
 
-def _beside(panels: Sequence[LimbPanel], mean: Samples) -> Grid:
+def _beside(panels: Sequence[LimbPanel], mean: Samples, names: list[str]) -> Grid:
     """Two limbs' mean curves of angles at the same percentage of each one's own cycle."""
-    rows, names = [], next(panel.limbs for panel in panels if len(panel.limbs) == 2)
+    rows = []
     for panel in panels:
         curves = mean[:, panel.channels]
         if len(panel.channels) != 2 or np.isnan(curves).any():
@@ -178,7 +179,7 @@ def _beside(panels: Sequence[LimbPanel], mean: Samples) -> Grid:
         *((f"{name}, range", "deg") for name in names),
     ]
     return Grid(
-        "Left beside right" if list(names) == ["left", "right"] else "Limb beside limb",
+        "Left beside right" if names == ["left", "right"] else "Limb beside limb",
         BESIDE.format(*names),
         [*columns, ("Apart, RMS", "deg"), ("Most", "deg")],
         rows,
