@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import struct
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 
 from kinegraph.devices.cameras.video import Video, container
 from kinegraph.devices.cameras.video.importer import VIDEO
-from kinegraph.devices.cameras.video.simulator import CLIP, clip_from, network_camera, simulated
+from kinegraph.devices.cameras.video.simulator import CLIP, NetworkCamera, clip_from, network_camera, simulated
 from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, ParameterError, RecordingError
@@ -181,6 +182,23 @@ def test_the_shipped_clip_repeats_and_a_late_viewer_need_not_see_it_from_its_beg
     assert CLIP.stat().st_size < 400_000 and (facts.width, facts.height, length) == (640, 480, pytest.approx(8.0))
     begins, ends, _ = next(clip_from(3 * length + 0.05))
     assert (begins, ends) == (pytest.approx(3 * length), pytest.approx(3 * length + 1 / facts.rate_hz))
+
+
+def test_a_camera_that_cannot_keep_up_is_unplugged_nevertheless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its frames are all too late, so none is sent."""
+
+    def late(seconds: float) -> Iterator[tuple[float, float, None]]:
+        yield -2.0, -1.0, None
+        camera.unplug()
+        yield -2.0, -1.0, None
+        pytest.fail("it still decodes")
+
+    monkeypatch.setattr("kinegraph.devices.cameras.video.simulator.clip_from", late)
+    camera = NetworkCamera(WIDTH, HEIGHT, 30.0)
+    try:
+        assert not list(camera.pictures())
+    finally:
+        camera.close()
 
 
 def test_what_is_missing_is_named() -> None:

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from kinegraph.operators.contacts.acceleration import AccelerationContacts
-from kinegraph.operators.contacts.commands.contact_check import FootFinding, FootInput, judge_foot, together, why_none
+from kinegraph.operators.contacts.commands.contact_check import (
+    FootFinding,
+    FootInput,
+    judge_foot,
+    together,
+    why_no_contact,
+)
 from kinegraph.operators.contacts.force import ForceContacts, SwitchContacts
 from kinegraph.operators.contacts.inertial import InertialContacts
 from kinegraph.operators.contacts.marker import MarkerContacts
@@ -84,7 +90,7 @@ STILL = np.tile([0.0, 0.0, 9.81, 0.01, 0.0, 0.0], (900, 1))
     ],
 )  # fmt: skip
 def test_why_no_contact_was_found_is_named_by_what_finds_them(part: Any, spec: Any, data: Any, reason: str) -> None:
-    found, advice = why_none(FootInput("board", part, spec, data))
+    found, advice = why_no_contact(FootInput("board", part, spec, data))
     assert found.startswith(reason) and advice
 
 

@@ -54,6 +54,8 @@ class NetworkCamera:
         self._began = time.monotonic() if self._began is None else self._began
         number = self._now()
         for begins, ends, frame in clip_from(number / self.fps):
+            if self._out.is_set():
+                return
             number = max(number, self._now())
             while begins <= number / self.fps < ends:
                 time.sleep(max(0.0, self._began + number / self.fps - time.monotonic()))

@@ -1,4 +1,4 @@
-"""What hands and face share: images beside what is seen of the body, a part of an image for a network, and its finds back in the image."""
+"""What hands and face share: images beside what is seen of the body, a part of an image for a network, and what it finds there."""
 
 from __future__ import annotations
 

@@ -58,7 +58,8 @@ def check_contacts(
     if poor := [f"{foot.name} {foot.reason}" for foot in found if foot.flag != "good"]:
         say(f"{len(poor)} of {len(found)} feet need a look: {', '.join(poor)}", err=True)
         sys.exit(1)
-    say("the contacts of " + ("both feet" if len(found) == 2 else "the foot") + " are found", err=as_json)
+    feet = {1: "the foot", 2: "both feet"}.get(len(found), f"all {len(found)} feet")
+    say(f"the contacts of {feet} are found", err=as_json)
 
 
 def only_contacts(graph: Graph) -> list[str]:

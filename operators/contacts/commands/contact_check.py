@@ -56,7 +56,7 @@ def judge_foot(name: str, touchdowns: Times, liftoffs: Times, end_ns: int, given
     """Judge one foot by the onsets of its contacts, until the end of the walk; `given` explains why there are none."""
     downs = np.sort(touchdowns)
     if not len(downs):
-        reason, advice = why_none(given)
+        reason, advice = why_no_contact(given)
         return FootFinding(name, 0, 0.0, 0.0, "bad", reason, advice)
     if len(downs) < MIN_CONTACTS:
         many = "contact" if len(downs) == 1 else "contacts"
@@ -100,7 +100,7 @@ def together(feet: Sequence[FootFinding], touchdowns: Sequence[Times]) -> list[F
     return [FootFinding(f.name, f.count, f.stride_s, f.stance_pct, "doubtful", reason, advice) for f in feet]
 
 
-def why_none(given: FootInput | None) -> tuple[str, str]:
+def why_no_contact(given: FootInput | None) -> tuple[str, str]:
     """Why no contact was found, and what to do."""
     if given is None:
         return "no contact came", "look whether the device that sends contacts is on, and walk"
