@@ -49,7 +49,8 @@ def find_joints(
         if joint not in found:
             made = _first(joint, plain)
             if made is None and joint in between:
-                made = tuple(part for side in between[joint] for part in found.get(side) or _first(side, plain) or ())
+                sides = [found.get(side) or _first(side, plain) or () for side in between[joint]]
+                made = tuple(part for side in sides for part in side) if all(sides) else None
             if not made:
                 raise ParameterError(
                     "joints",

@@ -149,7 +149,7 @@ class ImagePose(Operator[ImagePoseState]):
             -square[2] / 2 < square[0] < width + square[2] / 2 and -square[2] / 2 < square[1] < height + square[2] / 2
         )
         if not (inside and MIN_SIDE * longest < square[2] < MAX_SIDE * longest):
-            square[:] = np.nan
+            square[:], self.state.doubted = np.nan, 0
         elif self.state.model != FIGURE:
             self._recognise(image, time)
 
