@@ -18,8 +18,10 @@ from kinegraph.stream.graph import Graph
 from tests.support.exercise_events import EVENTS, event
 
 
-def report_of(folder: Path, parts: list[tuple[str, Chunk]]) -> tuple[str, list[dict[str, str]]]:
-    outlet = TrainingReport(path=str(folder / "training.html"), title="Tuesday")
+def report_of(
+    folder: Path, parts: list[tuple[str, Chunk]], full_share: float = 0.5
+) -> tuple[str, list[dict[str, str]]]:
+    outlet = TrainingReport(path=str(folder / "training.html"), title="Tuesday", full_share=full_share)
     outlet.open({port: EVENTS[port] for port in outlet.inputs})
     outlet.meet(Graph("train", {}, "", session={"subject": "P07 <b>"}))
     outlet.begin()
@@ -92,6 +94,19 @@ def sets(sure: float = 0.7) -> list[tuple[str, Chunk]]:
         )
     parts.insert(-7, ("rest", event("rest", 19, onset=10.2, end=18.2)))
     return parts
+
+
+@pytest.mark.parametrize(("full_share", "counted"), [(0.5, ["4", "1"]), (0.4, ["5"]), (0.0, ["5"])])
+def test_a_repetition_of_less_than_half_of_the_usual_range_is_partial_and_is_not_counted(
+    tmp_path: Path, full_share: float, counted: list[str]
+) -> None:
+    parts = sets()
+    half = next(chunk for port, chunk in parts if port == "repetition" and chunk.data["repetition"][0] == 3)
+    half.data["range"] = 14.0  # the median of the set is 32
+    page, _ = report_of(tmp_path, parts, full_share)
+    first = re.findall("<td>1</td><td class=.text.>arms.*?</td><td>.*?</td>(.*?)<td>27", page)
+    assert re.findall(r"<td>(\d+)</td>", first[0]) == counted
+    assert ("went less far than 50 %" in page) == (len(counted) == 2)
 
 
 def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_path: Path) -> None:

@@ -67,8 +67,8 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
     repetition       of `operators.segmentation.names.naming.NameRepetitions`
 
     Any streams of events with the same fields will do. The page holds what each set was: exercise, repetitions, tempo and how even it
-    was, range, how near to what was shown, how alike left and right were, the rest after it; and how
-    duration and range went over the session. The CSV file grows as repetitions become final, so that a crash leaves it.
+    was, range, how near to what was shown, how alike left and right were, the rest after it; and how duration and range went over the
+    session. Partial repetitions are listed apart, and not counted. The CSV file grows as repetitions become final, so that a crash leaves it.
     Memory is bounded, by 1 MB: the page shows the first 500 sets and 20 000 repetitions, and says so. Existing files are never overwritten.
     """
 
@@ -77,6 +77,9 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
 
     path: str = param("reports/training.html", help="the page; the CSV file is written beside it")
     title: str = param("Training", help="the page's heading")
+    full_share: float = param(
+        0.5, least=0.0, most=1.0, help="a repetition counts if it goes as far as this share of its set's median; 0: all"
+    )
 
     def open(self, specs: Specs) -> Specs:
         wrong = check_path(Path(self.path))
@@ -135,7 +138,10 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
         try:
             if runtime.table:
                 write_complete(
-                    page, render(self.title, runtime.facts, state.training, runtime.unit, f"{page.stem}.csv")
+                    page,
+                    render(
+                        self.title, runtime.facts, state.training, runtime.unit, f"{page.stem}.csv", self.full_share
+                    ),
                 )
                 log.info("report written", page=str(page), table=f"{state.stem}.csv")
         except OSError as error:

@@ -95,7 +95,8 @@ class Exercise:
     """One set, as the report shows it. Times in s; NaN: not known. durations, ranges, distances: one number per repetition. start_s: of
     the first repetition, before which the set may begin with a rest.
 
-    name: with a question mark where it is hardly sure; tempo: repetitions a minute; even: how much the durations scatter, in per cent,
+    name: with a question mark where it is hardly sure; partial: repetitions that go much less far than the set's median, and are not among
+    `repetitions`; tempo: repetitions a minute; even: how much the durations scatter, in per cent,
     without the last one if a rest follows, as a movement that fades away looks shorter than it is; rest_s: after the set; alike: how alike
     left and right move, 0 to 1; doubtful: chance might have made these repetitions; starts: of the repetitions, from the session's start
     """
@@ -104,6 +105,7 @@ class Exercise:
     name: str
     start_s: float
     repetitions: int
+    partial: int
     tempo: float
     even: float
     rest_s: float
@@ -120,8 +122,11 @@ class Exercise:
 SYMMETRY = {0: "", 1: "both sides at once", 2: "sides in turn", 3: "one side, or unlike"}
 
 
-def exercises(training: Training) -> list[Exercise]:
-    """The sets of a session, with their repetitions; what does not repeat is no set, nor is walking."""
+def exercises(training: Training, full_share: float) -> list[Exercise]:
+    """The sets of a session, with their repetitions; what does not repeat is no set, nor is walking.
+
+    A repetition is partial if its range is less than `full_share` of its set's median.
+    """
     sets, all_, rests = training.sets[: training.n_sets], training.repetitions[: training.n_repetitions], training.rests
     made: list[Exercise] = []
     for k, one in enumerate(sets):
@@ -134,12 +139,14 @@ def exercises(training: Training) -> list[Exercise]:
         middle = (rests["onset"][: training.n_rests] + rests["end"][: training.n_rests]) / 2.0
         here = rests[: training.n_rests][(middle > _last(one, spans)) & (middle < _next(sets, k, all_))]
         mean = float(durations.mean(dtype=np.float64)) if len(durations) else np.nan
+        partial = int((spans["range"] < full_share * np.median(spans["range"])).sum()) if len(spans) else 0
         made.append(
             Exercise(
                 len(made) + 1,
                 name or f"exercise {one['cluster'] + 1}",
                 float((spans["onset"][0] if len(spans) else one["onset"]) - training.began) / NS,
-                int(one["repetitions"]),
+                int(one["repetitions"]) - partial,
+                partial,
                 60.0 / mean if mean > 0.0 else np.nan,
                 _unevenness(durations[:-1] if len(here) else durations),
                 float((here["end"] - here["onset"]).sum()) / NS if len(here) else np.nan,
