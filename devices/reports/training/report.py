@@ -68,7 +68,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
 
     Any streams of events with the same fields will do. The page holds what each set was: exercise, repetitions, tempo and how even it
     was, range, how near to what was shown, how alike left and right were, the rest after it; and how duration and range went over the
-    session. Partial repetitions are listed apart, and not counted. The CSV file grows as repetitions become final, so that a crash leaves it.
+    session. Partial repetitions are listed apart, and not counted. The CSV file grows as repetitions become final: a crash leaves it.
     Memory is bounded, by 1 MB: the page shows the first 500 sets and 20 000 repetitions, and says so. Existing files are never overwritten.
     """
 
