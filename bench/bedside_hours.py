@@ -37,9 +37,9 @@ from tests.sleep.tilted_room import Stay, TiltedRoom
 from tests.support.mosquitto import broker
 
 CONFIG = HOUSE / "configs" / "bedside_sleep.yaml"
-WIDTH, HEIGHT, MOST_FPS = 640, 400, 30
+WIDTH, HEIGHT, MAX_FPS = 640, 400, 30
 PER_MIN = 15.0
-LIES, AWAY, BACK, LEAVES = 600.0, 14_400.0, 14_700.0, 28_800.0
+ENTERS, AWAY, BACK, LEAVES = 600.0, 14_400.0, 14_700.0, 28_800.0
 STIRS_EVERY_S, STIRS_S = 600.0, 4.0
 SLICE_S = 30.0
 FACTS = "hours.json"
@@ -60,9 +60,9 @@ def pictures(fps: float) -> dict[str, Array]:
 
 def scene(seconds: float) -> str:
     """Which of the pictures is seen then."""
-    if seconds < LIES or AWAY <= seconds < BACK or seconds >= LEAVES:
+    if seconds < ENTERS or AWAY <= seconds < BACK or seconds >= LEAVES:
         return "empty"
-    return "stirs" if (seconds - LIES) % STIRS_EVERY_S < STIRS_S else "sleeper"
+    return "stirs" if (seconds - ENTERS) % STIRS_EVERY_S < STIRS_S else "sleeper"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Hours(Source):
     outputs: ClassVar[tuple[str, ...]] = ("depth",)
 
     hours: float = param(10.0, above=0.0)
-    fps: float = param(30.0, above=0.0, most=float(MOST_FPS))
+    fps: float = param(30.0, above=0.0, most=float(MAX_FPS))
 
     @property
     def live(self) -> bool:
@@ -93,7 +93,7 @@ class Hours(Source):
         for k in range(count + 1):
             if k and k % size == 0:
                 before, spent = spent, time.process_time()
-                slices += [1000 * (spent - before) / size] if k / self.fps > LIES + SLICE_S else []
+                slices += [1000 * (spent - before) / size] if k / self.fps > ENTERS + SLICE_S else []
             if k % min(round(3600 * self.fps), count) == 0:
                 note = {"frames": k, "cpu_s": time.process_time(), "mib": resident_mib()}
                 notes.append({"hours": k / 3600 / self.fps, **note, "children_mib": _children_mib()})
@@ -183,7 +183,7 @@ def section(notes: list[dict[str, float]], slices: list[float], fps: float, abou
         rows.append([f"{note['hours']:g}", ms, f"{note['mib']:.1f}", f"{note['children_mib']:.1f}"])
     made = Section(f"The shipped graph, {WIDTH} x {HEIGHT} at {fps:g} frames per second", header, rows, [about])
     last = notes[-1]
-    if fps == MOST_FPS:
+    if fps == MAX_FPS:
         low, middle = np.percentile(slices, (10, 50))
         made.notes.append(
             f"Processor time a frame with somebody in bed, by slices of {SLICE_S:g} s: {middle:.2f} ms in the median, {low:.2f} in the "
@@ -203,7 +203,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="write the tables into docs/lab/bedside.md")
     given = parser.parse_args()
     sections = []
-    for hours, fps in ((0.5, float(MOST_FPS)), (given.hours, given.fps)):
+    for hours, fps in ((0.5, float(MAX_FPS)), (given.hours, given.fps)):
         if hours:
             with tempfile.TemporaryDirectory() as name:
                 sections.append(measured(hours, fps, Path(name)))

@@ -124,6 +124,14 @@ def dressed(at: dict[int, tuple[int, int, int]]) -> np.ndarray:
     return image
 
 
+def following() -> ImagePose:
+    """The operator before images of 320 x 240."""
+    camera = dict.fromkeys(("fx", "fy", "cx", "cy"), 200.0)
+    operator = ImagePose(model=image_pose.FIGURE)
+    operator.open({"in": StreamSpec((240, 320, 3), np.dtype(np.uint8), rate_hz=30.0, meta={"camera": camera})})
+    return operator
+
+
 def test_a_person_behind_whom_another_one_crossed_is_found_again_by_the_clothes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -133,17 +141,7 @@ def test_a_person_behind_whom_another_one_crossed_is_found_again_by_the_clothes(
     monkeypatch.setattr(
         image_pose, "people_in", lambda image, path: [SeenPerson(0.9, square.copy()) for square in in_sight]
     )
-    operator = ImagePose(model=image_pose.FIGURE)
-    operator.open(
-        {
-            "in": StreamSpec(
-                (240, 320, 3),
-                np.dtype(np.uint8),
-                rate_hz=30.0,
-                meta={"camera": dict.fromkeys(("fx", "fy", "cx", "cy"), 200.0)},
-            )
-        }
-    )
+    operator = following()
     state = operator.state
     times = grid(30.0, 400).tolist()
     for time in times[:30]:
@@ -162,6 +160,13 @@ def test_a_person_behind_whom_another_one_crossed_is_found_again_by_the_clothes(
     assert state.square.tolist() == other.tolist(), "and is the person after a while"
 
 
+def test_whoever_is_found_after_a_loss_is_not_doubted_since_before_it() -> None:
+    """Else a stranger would be taken for the person at the first look."""
+    operator = following()
+    operator.state.square[:], operator.state.doubted = np.nan, 5
+    assert operator._find(np.zeros((240, 320, 3), np.uint8)) and operator.state.doubted == 0
+
+
 def test_a_person_who_turns_or_walks_into_the_shade_is_not_exchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     mine = np.array([100.0, 130.0, 230.0, 0.0])
     monkeypatch.setattr(
@@ -169,17 +174,7 @@ def test_a_person_who_turns_or_walks_into_the_shade_is_not_exchanged(monkeypatch
         "people_in",
         lambda image, path: [SeenPerson(0.9, np.array([240.0, 130.0, 230.0, 0.0])), SeenPerson(0.9, mine + 2)],
     )
-    operator = ImagePose(model=image_pose.FIGURE)
-    operator.open(
-        {
-            "in": StreamSpec(
-                (240, 320, 3),
-                np.dtype(np.uint8),
-                rate_hz=30.0,
-                meta={"camera": dict.fromkeys(("fx", "fy", "cx", "cy"), 200.0)},
-            )
-        }
-    )
+    operator = following()
     for k, time in enumerate(grid(30.0, 90).tolist()):
         operator.state.square[:] = mine
         shade = 1.0 if k < 30 else 0.4

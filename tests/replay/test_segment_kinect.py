@@ -39,7 +39,7 @@ def activities() -> np.ndarray:
 
 
 def test_an_activity_begins_where_the_annotator_saw_another_exercise(activities: np.ndarray) -> None:
-    """Within a second, four of five: the first exercise, 4 s long, is not told from the next. Noise cuts squats and toe touches in two more
+    """Within a second, four of five: the first exercise, of 4 s, is taken for the next one. Noise cuts squats and toe touches in two more
     often than motion capture's joints do."""
     changes = (np.flatnonzero(np.diff(LABELS)) + 1) / 30
     begins = activities["onset"][1:] / NS

@@ -36,7 +36,7 @@ def labels(name: str) -> Array:
 
 @pytest.mark.parametrize(("name", "missed"), [("13_29", 1), ("13_31", 1)])
 def test_an_activity_begins_where_the_annotator_saw_another_exercise(name: str, missed: int) -> None:
-    """Within a second. The first workout's first exercise, 4 s long, is not told from the next; one toe touch between twists of the second
+    """Within a second. The first workout's first exercise, of 4 s, is taken for the next one; one toe touch between twists of the second
     one is too short to be seen."""
     changes = (np.flatnonzero(np.diff(labels(name))) + 1) / RATE
     begins = replayed(name)["segment.activity"].data["onset"][1:] / NS

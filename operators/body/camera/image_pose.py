@@ -149,7 +149,7 @@ class ImagePose(Operator[ImagePoseState]):
             -square[2] / 2 < square[0] < width + square[2] / 2 and -square[2] / 2 < square[1] < height + square[2] / 2
         )
         if not (inside and MIN_SIDE * longest < square[2] < MAX_SIDE * longest):
-            square[:], self.state.doubted = np.nan, 0
+            square[:] = np.nan
         elif self.state.model != FIGURE:
             self._recognise(image, time)
 
@@ -176,7 +176,8 @@ class ImagePose(Operator[ImagePoseState]):
         return min(found, key=lambda one: unlike(colours(image, one.square), self.state.clothes), default=None)
 
     def _find(self, image: Image) -> bool:
-        """Look for people in the whole image, and choose one."""
+        """Look for people in the whole image, and choose one, of whom nothing is doubted yet."""
+        self.state.doubted = 0
         height, width = image.shape[:2]
         if self.state.model == FIGURE:
             self.state.square[:] = width / 2, height / 2, height, 0.0
