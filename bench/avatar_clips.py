@@ -8,7 +8,8 @@ jitter     mean second difference of the limbs' directions, over the truth's
 limbs      degrees between a limb and the true one, mean; head: pitch of the head against the true one, 95 %
 turn       degrees a frame by which a limb turns, beside the truth
 exchanged  of arms, legs and hips each: the frames in which left and right exchanged would be 5 cm nearer; the most in a row
-far        markers off by more than 25 cm that are missing or flagged; the most frames in a row in which one is given out
+far        of the markers off by more than 25 cm, before or after `Surer`, those not given out so: missing, flagged, or replaced by a near
+           one; the most frames in a row in which one is given out
 """
 
 from __future__ import annotations
@@ -181,8 +182,8 @@ def judged(
     made["far flagged"] = np.nan
     if all_of_them is not None:
         raw = 100 * np.linalg.norm(all_of_them[0][at][:, SHOWN] - truth, axis=2)
-        far = raw > FAR_CM
-        made["far flagged"] = float(100 * np.isnan(off)[far].mean()) if far.any() else np.nan
+        far = (raw > FAR_CM) | (off > FAR_CM)
+        made["far flagged"] = 100.0 - float(100 * (off[far] > FAR_CM).mean()) if far.any() else np.nan
     made["far in a row"] = max(longest(flags) for flags in (off > FAR_CM).T)
     made["missing %"] = float(100 * np.isnan(off).mean())
     confidence = np.ones(markers.shape[:2]) if all_of_them is None else all_of_them[1]

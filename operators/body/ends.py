@@ -80,3 +80,17 @@ def outside(places: Samples, camera: Samples, shape: tuple[int, ...]) -> NDArray
     """Which `places` (n, 3) an image of `shape` (h, w) does not show; `camera` (4,) fx, fy, cx, cy in pixels."""
     u, v = (camera[2 + a] + camera[a] * places[:, a] / places[:, 2] for a in range(2))
     return np.asarray((u < -0.5) | (u > shape[1] - 0.5) | (v < -0.5) | (v > shape[0] - 0.5))
+
+
+def beside(points: Samples, place: Samples, camera: Samples, near_m: float) -> bool:
+    """Whether the camera, `camera` (4,) as in `outside`, sees no surface of the body within `near_m` of `place` (3,) across its image.
+
+    `points` (h, w, 3) are that surface. What is not known lies beside nothing.
+    """
+    if not np.isfinite(place).all():
+        return False
+    near = near_m / place[2] * camera[:2]
+    middle = camera[2:] + place[:2] / place[2] * camera[:2]
+    left, top = np.maximum(np.ceil(middle - near), 0.0).astype(int)
+    right, bottom = np.maximum(np.floor(middle + near) + 1.0, 0.0).astype(int)
+    return not bool(np.isfinite(points[top:bottom, left:right, 2]).any())

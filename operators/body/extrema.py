@@ -16,6 +16,7 @@ from kinegraph.operators.body.ends import (
     MOST_ENDS,
     ROUND_M,
     USUAL,
+    beside,
     border_of,
     cheapest,
     costs,
@@ -71,6 +72,8 @@ SPEAKS, MOST_ODDS, CHANGES, SURE = 1.0, 2.0, -0.1, 0.1
 heading is turned round; below which it is as likely as not that left is left: what has another side is missing then."""
 CROSSED_M, ASTRAY_M = (0.10, 0.04), 0.15
 """Elbows that lie on each other's side by the first, and knees by the second, are exchanged; one alone, by the third, is left out."""
+HIPS, BESIDE_M = [MARKERS.index(f"{side}_hip") for side in ("left", "right")], 0.03
+"""Where one of these lies beside the body by so much as the camera sees it, neither is where it was put."""
 ALONG = 0.4
 """The chest is widest along the shoulders if that is so far from where the shape says that the left is (a cosine)."""
 
@@ -106,7 +109,8 @@ class Extrema(Operator[ExtremaState]):
     Head, hands and feet are the points farthest along the body's surface from its middle, distinguished by where they were and where they
     usually are; wrists, elbows, ankles and knees lie on the way back from them. What something nearer cuts off, as a raised arm the head,
     is joined by the shortest way across. Shoulders and hips are where they usually are below the head, on the ways from it to the feet,
-    across where the body's shape faces. Hands before the trunk are not found, and are missing. Nose, ears and heels always are.
+    across where the body's shape faces, and missing where that is beside the body. Hands before the trunk are not found, and are missing.
+    Nose, ears and heels always are.
     Much coarser than the network: what there is where it cannot be used.
 
     >>> given, made = tried(Extrema)
@@ -187,6 +191,8 @@ class Extrema(Operator[ExtremaState]):
         if s.odds < SURE:
             confidence[HAVE_SIDES] = 0.0
         confidence[~possible(size, out) | outside(out, s.camera, depth.shape)] = 0.0
+        if any(beside(points, out[k], s.camera / step, BESIDE_M) for k in HIPS):
+            confidence[HIPS] = 0.0
         out[confidence < 0.5] = np.nan
 
     def _moved_on(self, middle: Samples) -> None:

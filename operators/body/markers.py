@@ -19,6 +19,9 @@ from kinegraph.stream.filter import reset_gap
 from kinegraph.stream.operator import Case, Operator, grid
 from kinegraph.stream.params import param
 
+NOSE, EARS, SHOULDERS, HIPS = 0, [7, 8], [11, 12], [23, 24]
+"""Landmarks, the left one first."""
+
 
 @dataclass(slots=True)
 class MarkersState:
@@ -117,6 +120,8 @@ class Markers(Operator[MarkersState]):
         trust, presence, seconds = np.empty(34), float(seen["presence"]), min((time - s.last) / NS, 1.0)
         trusted(points, places, doubt, s.before, seconds, presence, OTHER_SIDE, trunk, INSIDE, s.camera[0], trust)
         trust[SIDED] = np.minimum(trust[SIDED], max(s.heading[3], 0.0) / (2.0 * SURE))
+        if shows_back_of_head(points):
+            trust[NOSE] = 0.0
         s.last, s.before[:] = time, places
         confidence[:] = trust[TAKEN]
         out[:] = places[TAKEN]
@@ -143,3 +148,10 @@ class Markers(Operator[MarkersState]):
             Case(cls(), {"in": (spec, grid(30.0, n), seen)}, least=80),
             Case(cls(least=0.0, reset_gap_s=0.05), {"in": (spec, grid(30.0, n), seen)}, least=80),
         ]
+
+
+def shows_back_of_head(points: Samples) -> bool:
+    """Whether the camera sees the head of `points` (34, 8) from behind: the left ear is to the left, for who looks along the trunk."""
+    left, right = points[EARS, :2]
+    down = points[HIPS, :2].mean(axis=0) - points[SHOULDERS, :2].mean(axis=0)
+    return bool((left[0] - right[0]) * down[1] < (left[1] - right[1]) * down[0])

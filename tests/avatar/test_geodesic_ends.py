@@ -96,15 +96,27 @@ def test_who_sits_back_on_bent_legs_has_the_hips_at_the_seat() -> None:
     np.testing.assert_array_equal(hips_between(1.0, points, parent, [-1, -1, -1, 0, -1], middle), middle)
 
 
-def test_depth_alone_sees_a_head_above_an_arm() -> None:
+def found_in(depth: Array) -> Samples:
+    """The markers (3, 20, 3) of three frames that show `depth` (60, 48)."""
     meta = {"camera": dict(zip(("fx", "fy", "cx", "cy"), CAMERA, strict=True))}
     extrema = Extrema()
     extrema.open({"in": StreamSpec((60, 48), np.dtype(np.uint16), rate_hz=30.0, units=("mm",), meta=meta)})
     times = grid(30.0, 3)
-    made = dict(extrema.process("in", Chunk(times, np.repeat(figure()[None], 3, 0), int(times[-1]))))
-    heads = made["out"].data[:, MARKERS.index("head")]
+    return dict(extrema.process("in", Chunk(times, np.repeat(depth[None], 3, 0), int(times[-1]))))["out"].data
+
+
+def test_depth_alone_sees_a_head_above_an_arm() -> None:
+    heads = found_in(figure())[:, MARKERS.index("head")]
     assert np.isfinite(heads).all(), "the head is not seen"
     assert (heads[:, 1] < -0.6).all(), "the arm is taken for the head"
+
+
+def test_hips_are_missing_where_nothing_of_the_body_is_seen() -> None:
+    """The hips are put on the way from head to feet: of who bends over they came out between the legs, 70 cm off."""
+    hips, depth = [MARKERS.index(f"{side}_hip") for side in ("left", "right")], figure()
+    assert np.isfinite(found_in(depth)[:, hips]).all()
+    depth[24:40, 14:34] = 0
+    assert np.isnan(found_in(depth)[:, hips]).all()
 
 
 def test_every_kernel_is_compiled_before_the_camera_opens(monkeypatch: pytest.MonkeyPatch) -> None:
