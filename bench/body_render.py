@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,19 +45,14 @@ def truth_of(names: list[str], joints: Any, tails: Any) -> NDArray[np.float64]:
     return truth
 
 
-@kernel
-def draw(v: Any, faces: Any, camera: Any, depth: Any, light: Any) -> None:
-    """Triangles `faces` (f, 3) of points `v` (n, 3) into `depth` (h, w; m, 0: nothing), with the cosine of incidence into `light`."""
+@kernel(nogil=True)
+def cover(v: Any, faces: Any, camera: Any, depth: Any, which: Any, share: Any) -> None:
+    """Triangles `faces` (f, 3) of points `v` (n, 3) into `depth` (h, w; inf: nothing), the face's number and two barycentric shares."""
     h, w = depth.shape
     for t in range(len(faces)):
         a, b, c = v[faces[t, 0]], v[faces[t, 1]], v[faces[t, 2]]
-        if min(a[2], b[2], c[2]) < 0.2:
+        if min(a[2], b[2], c[2]) < 0.05:
             continue
-        normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
-        size = np.sqrt((normal * normal).sum() * (middle * middle).sum())
-        if size == 0.0:
-            continue
-        cosine = abs((normal * middle).sum()) / size
         ax, ay = camera[0] * a[0] / a[2] + camera[2], camera[1] * a[1] / a[2] + camera[3]
         bx, by = camera[0] * b[0] / b[2] + camera[2], camera[1] * b[1] / b[2] + camera[3]
         cx, cy = camera[0] * c[0] / c[2] + camera[2], camera[1] * c[1] / c[2] + camera[3]
@@ -71,8 +66,23 @@ def draw(v: Any, faces: Any, camera: Any, depth: Any, light: Any) -> None:
                 if p < 0.0 or q < 0.0 or p + q > 1.0:
                     continue
                 z = 1.0 / ((1.0 - p - q) / a[2] + p / b[2] + q / c[2])
-                if depth[y, x] == 0.0 or z < depth[y, x]:
-                    depth[y, x], light[y, x] = z, cosine
+                if z < depth[y, x]:
+                    depth[y, x], which[y, x] = z, t
+                    share[y, x, 0], share[y, x, 1] = p * z / b[2], q * z / c[2]
+
+
+class Cells(NamedTuple):
+    """Of each cell of a picture how far away what it shows is, the triangle's number (-1: nothing), and two barycentric shares."""
+
+    depth: NDArray[np.float64]
+    which: NDArray[np.int64]
+    share: NDArray[np.float64]
+
+    @classmethod
+    def empty(cls, height: int, width: int) -> Cells:
+        return cls(
+            np.full((height, width), np.inf), np.full((height, width), -1, np.int64), np.zeros((height, width, 2))
+        )
 
 
 def turned(q: Any) -> NDArray[np.float64]:
@@ -146,9 +156,14 @@ class Studio:
     def frame(self, rotations: Any, joints: Any, random: np.random.Generator) -> tuple[Any, Any]:
         """Depth and infrared of one pose."""
         body, moved = self.body, self.skin(rotations, joints)
-        depth, light = np.zeros((HEIGHT, WIDTH)), np.zeros((HEIGHT, WIDTH))
-        draw((moved - self.place) @ self.axes.T, body["faces"], CAMERA, depth, light)
-        there = (depth > 0) & (depth < self.room)
+        corners, cells = (moved - self.place) @ self.axes.T, Cells.empty(HEIGHT, WIDTH)
+        cover(corners, body["faces"], CAMERA, *cells)
+        a, b, c = corners[body["faces"].T]
+        normal, middle = np.cross(b - a, c - a), (a + b + c) / 3.0
+        sizes = np.linalg.norm(normal, axis=1) * np.linalg.norm(middle, axis=1)
+        cosines = np.abs((normal * middle).sum(axis=1)) / np.maximum(sizes, 1e-12)
+        depth, light = cells.depth, cosines[cells.which]
+        there = depth < self.room
         image = np.where(there, light * 115 * (2 / np.maximum(depth, 0.3)) ** 2, 18.0) + random.normal(
             0, 4, depth.shape
         )

@@ -21,6 +21,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
+from bench.body_render import Cells, cover
 from kinegraph.stream.kernel import kernel
 
 Floats = NDArray[np.float64]
@@ -57,46 +58,6 @@ PEOPLE = {
     "b": Looks("african", "male", (0.16, 0.075, 0.045), (0.17, 0.06, 0.05), (0.012, 0.01, 0.01), (0.03, 0.016, 0.01), (0.40, 0.36, 0.30)),
     "c": Looks("asian", "male", (0.50, 0.29, 0.19), (0.36, 0.14, 0.11), (0.015, 0.012, 0.01), (0.05, 0.025, 0.012), (0.25, 0.04, 0.05)),
 }  # fmt: skip
-
-
-@kernel(nogil=True)
-def cover(v: Any, faces: Any, camera: Any, depth: Any, which: Any, share: Any) -> None:
-    """Triangles `faces` (f, 3) of points `v` (n, 3) into `depth` (h, w; inf: nothing), the face's number and two barycentric shares."""
-    h, w = depth.shape
-    for t in range(len(faces)):
-        a, b, c = v[faces[t, 0]], v[faces[t, 1]], v[faces[t, 2]]
-        if min(a[2], b[2], c[2]) < 0.05:
-            continue
-        ax, ay = camera[0] * a[0] / a[2] + camera[2], camera[1] * a[1] / a[2] + camera[3]
-        bx, by = camera[0] * b[0] / b[2] + camera[2], camera[1] * b[1] / b[2] + camera[3]
-        cx, cy = camera[0] * c[0] / c[2] + camera[2], camera[1] * c[1] / c[2] + camera[3]
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == 0.0:
-            continue
-        for y in range(max(0, int(np.ceil(min(ay, by, cy)))), min(h - 1, int(np.floor(max(ay, by, cy)))) + 1):
-            for x in range(max(0, int(np.ceil(min(ax, bx, cx)))), min(w - 1, int(np.floor(max(ax, bx, cx)))) + 1):
-                p = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
-                q = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
-                if p < 0.0 or q < 0.0 or p + q > 1.0:
-                    continue
-                z = 1.0 / ((1.0 - p - q) / a[2] + p / b[2] + q / c[2])
-                if z < depth[y, x]:
-                    depth[y, x], which[y, x] = z, t
-                    share[y, x, 0], share[y, x, 1] = p * z / b[2], q * z / c[2]
-
-
-class Cells(NamedTuple):
-    """Of each cell of a picture how far away what it shows is, the triangle's number (-1: nothing), and two barycentric shares."""
-
-    depth: Floats
-    which: NDArray[np.int64]
-    share: Floats
-
-    @classmethod
-    def empty(cls, height: int, width: int) -> Cells:
-        return cls(
-            np.full((height, width), np.inf), np.full((height, width), -1, np.int64), np.zeros((height, width, 2))
-        )
 
 
 class Mesh(NamedTuple):
