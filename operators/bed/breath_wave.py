@@ -21,6 +21,8 @@ LOW = 0.35
 MISSED_S = 3.7
 """A pause is this much longer than the time in which the newest span moves too little."""
 PAUSE_S = 10.0
+SPIKE_S = SPAN_S + 1.0
+"""One outlier moves the span for so long, a breath for longer: pauses that are no farther apart are one."""
 FORGETS = 0.3
 """How much of the usual movement each epoch with a rate replaces."""
 ROUNDED, ARMED = 0.1, 0.1
@@ -29,6 +31,8 @@ MISCOUNTED = 0.5
 """A count that is off by as much of a breath as this or more is not believed."""
 NEAR = 2.5
 """Breaths per minute around a rate that belong to it."""
+ENOUGH = 0.8
+"""This share of the ticks must be known; ticks are skipped where frames are lost."""
 
 
 @dataclass(slots=True)
@@ -36,10 +40,11 @@ class BreathWave:
     """
     level      (cells,)       slow depth of each cell (mm); NaN: not seen yet
     chosen     (k, cells)     1 and -1: cells that rise and fall with the chest, 0 the others
-    newest     (k, n)         the signal of the newest epoch, a ring by the number of the tick
+    newest     (k, n)         the signal of the newest epoch, a ring by the number of the tick; NaN: not known, or no frame
     tick       the newest tick since 1970; NEVER: no tick yet
     usual      (k,)           how far the chest moves within a span (mm); 0: not known
     low        (k,)           for how many ticks it has moved too little
+    ended      (k,)           the tick at which the newest pause ended
     pauses, paused (k,)       pauses that ended in this epoch, and their length (s)
     """
 
@@ -49,6 +54,7 @@ class BreathWave:
     tick: int
     usual: Samples
     low: Times
+    ended: Times
     pauses: Times
     paused: Samples
 
@@ -56,7 +62,7 @@ class BreathWave:
     def of(k: int, cells: int, n: int) -> BreathWave:
         return BreathWave(
             np.full(cells, np.nan), np.zeros((k, cells)), np.full((k, n), np.nan), NEVER, np.zeros(k), np.zeros(k, np.int64),
-            np.zeros(k, np.int64), np.zeros(k),
+            np.full(k, NEVER), np.zeros(k, np.int64), np.zeros(k),
         )  # fmt: skip
 
     def add(self, depth: Samples, tick: int, tick_s: float) -> Samples:
@@ -65,7 +71,9 @@ class BreathWave:
             self.level[:] = np.nan
             self.newest[:] = np.nan
             self.low[:] = 0
-        self.tick = tick
+            self.tick = tick - 1
+        step, self.tick = tick - self.tick, tick
+        self.newest[:, np.arange(tick - step + 1, tick) % self.newest.shape[1]] = np.nan
         finite = np.isfinite(depth)
         fresh = ~np.isfinite(self.level) & finite
         self.level[fresh] = depth[fresh]
@@ -76,23 +84,28 @@ class BreathWave:
             wave: Samples = np.where(used >= BEST / 3, self.chosen @ risen / used, np.nan)
         n = self.newest.shape[1]
         self.newest[:, tick % n] = wave
-        self._watch(tick, tick_s)
+        self._watch(tick, step, tick_s)
         return wave
 
-    def _watch(self, tick: int, tick_s: float) -> None:
-        """Whether the chest has moved in the newest span; a pause is counted once it is over."""
+    def _watch(self, tick: int, step: int, tick_s: float) -> None:
+        """Whether the chest has moved in the newest span, `step` ticks after the last look; a pause is counted once it is over."""
         n, span = self.newest.shape[1], max(2, round(SPAN_S / tick_s))
         recent = _smooth(self.newest[:, (tick - np.arange(min(span, n))) % n], tick_s)
-        for k, moved in enumerate(np.ptp(recent, axis=1).tolist()):
+        known = np.isfinite(recent).mean(axis=1) >= ENOUGH
+        spans = np.where(known, np.fmax.reduce(recent, axis=1) - np.fmin.reduce(recent, axis=1), np.nan)
+        for k, moved in enumerate(spans.tolist()):
             if not (moved == moved and self.usual[k]):
                 self.low[k] = 0
             elif moved < LOW * self.usual[k]:
-                self.low[k] += 1
+                self.low[k] += step
             else:
-                length = self.low[k] * tick_s + MISSED_S
+                length = float(self.low[k]) * tick_s + MISSED_S
                 if self.low[k] and length >= PAUSE_S:
-                    self.pauses[k] += 1
-                    self.paused[k] += length
+                    since_s = (tick - int(self.ended[k])) * tick_s
+                    same = since_s - float(self.low[k]) * tick_s <= SPIKE_S
+                    self.pauses[k] += not same
+                    self.paused[k] += since_s if same else length
+                    self.ended[k] = tick
                 self.low[k] = 0
 
     def learn(self, k: int, ticks: Samples, cells: Times, rate: float, tick_s: float) -> None:
@@ -107,9 +120,8 @@ class BreathWave:
         signs = np.sign((at * np.exp(-0.5j * np.angle((at**2).sum()))).real)
         self.chosen[k] = 0.0
         self.chosen[k, cells] = signs * (1.0 if signs.sum() >= 0 else -1.0)
-        span, n = max(2, round(SPAN_S / tick_s)), self.newest.shape[1]
-        before = self.newest[k, (self.tick - np.arange(n)[::-1]) % n]
-        mean = _smooth((before if np.isfinite(before).all() else x @ signs / len(cells))[None], tick_s)[0]
+        span, before = max(2, round(SPAN_S / tick_s)), self._epoch(k)
+        mean = _smooth((x @ signs / len(cells) if before is None else before)[None], tick_s)[0]
         moved = np.median([np.ptp(mean[i : i + span]) for i in range(0, max(1, len(mean) - span), 2)])
         self.usual[k] += (FORGETS if self.usual[k] else 1.0) * (float(moved) - self.usual[k])
 
@@ -119,10 +131,8 @@ class BreathWave:
 
     def sized(self, k: int, rate: float, tick_s: float) -> tuple[float, float]:
         """Of the newest epoch: how far the chest rises (mm, 5th to 95th percentile), and the share of its movement at this rate."""
-        n = self.newest.shape[1]
-        x = self.newest[k, (self.tick - np.arange(n)[::-1]) % n]
-        x = x[np.isfinite(x)]
-        if len(x) < 0.8 * n or rate != rate:
+        x = self._epoch(k)
+        if x is None or rate != rate:
             return math.nan, math.nan
         low, high = np.percentile(x, (5, 95))
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x)))) ** 2
@@ -137,9 +147,8 @@ class BreathWave:
         A spectrum weighs the middle of the epoch most: where breaths differ in length, that is not their mean. It is kept where both agree
         to its `error`, and where the count is off by more than `MISCOUNTED`: the wave is too noisy for it.
         """
-        n = self.newest.shape[1]
-        x = self.newest[k, (self.tick - np.arange(n)[::-1]) % n]
-        if not np.isfinite(x).all():
+        x = self._epoch(k)
+        if x is None:
             return rate
         begins = _begins(x, 60 / rate / tick_s)
         if len(begins) < 3:
@@ -147,9 +156,19 @@ class BreathWave:
         mean = 60 * (len(begins) - 1) / ((begins[-1] - begins[0]) * tick_s)
         return mean if error < abs(mean - rate) < MISCOUNTED * rate / len(begins) else rate
 
+    def _epoch(self, k: int) -> Samples | None:
+        """The newest epoch (n,), straight lines where ticks are not known; None where too few are."""
+        n = self.newest.shape[1]
+        x = self.newest[k, (self.tick - np.arange(n)[::-1]) % n]
+        known = np.isfinite(x)
+        if known.mean() < ENOUGH:
+            return None
+        made: Samples = x if known.all() else np.interp(np.arange(n), np.flatnonzero(known), x[known])
+        return made
+
     def forget(self, k: int) -> None:
         """The sleeper has left."""
-        self.chosen[k], self.usual[k], self.low[k] = 0.0, 0.0, 0
+        self.chosen[k], self.usual[k], self.low[k], self.ended[k] = 0.0, 0.0, 0, NEVER
 
 
 def _begins(x: Samples, period: float) -> Samples:
@@ -168,8 +187,10 @@ def _begins(x: Samples, period: float) -> Samples:
 
 
 def _smooth(x: Samples, tick_s: float) -> Samples:
-    """Means (k, n) of neighbouring ticks of x (k, n + width - 1): noise that is smaller than breath must not hide a pause."""
+    """Means (k, n) of what is known of neighbouring ticks of x (k, n + width - 1): noise smaller than breath must not hide a pause."""
     width = max(1, round(SMOOTH_S / tick_s))
-    sums = np.cumsum(np.pad(x, ((0, 0), (1, 0))), axis=1)
-    means: Samples = (sums[:, width:] - sums[:, :-width]) / width
+    known = np.isfinite(x)
+    sums, counts = (np.cumsum(np.pad(v, ((0, 0), (1, 0))), axis=1) for v in (np.where(known, x, 0.0), known))
+    with np.errstate(invalid="ignore"):
+        means: Samples = (sums[:, width:] - sums[:, :-width]) / (counts[:, width:] - counts[:, :-width])
     return means

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from kinegraph.devices.reports.night import archive
 from kinegraph.devices.reports.night.edf import write_edf
 from kinegraph.devices.reports.night.rows import risen
+from kinegraph.operators.bed.breath_wave import BreathWave
 from kinegraph.operators.bed.breathing import Breathing
 from kinegraph.stream.chunk import NS, Array
 from kinegraph.stream.operator import grid
@@ -128,3 +130,25 @@ def test_breath_that_has_become_shallow_is_no_pause_for_the_rest_of_the_night() 
     """As under another blanket; what is usual must follow even where a pause seems to be in every epoch."""
     events = made(600, shallow_s=180)["out"]
     assert np.isfinite(events["rate"][10:]).all() and (events["pauses"][11:] == 0).all(), events["pauses"]
+
+
+def watched(lift: Callable[[int], float], skipped: Callable[[int], bool]) -> BreathWave:
+    """Two minutes of a chest that lifts by 3 mm, four times a second, but for 30 s from second 50 on."""
+    wave = BreathWave.of(1, 12, 120)
+    wave.chosen[:], wave.usual[:] = 1.0, LIFT_MM
+    for tick in range(480):
+        breath = LIFT_MM / 2 * np.sin(2 * np.pi * PER_MIN / 60 * tick / 4)
+        if not (200 <= tick < 320 and skipped(tick)):
+            wave.add(np.full(12, 2000.0 - (lift(tick) if 200 <= tick < 320 else breath)), tick, 0.25)
+    return wave
+
+
+def test_a_tick_without_a_frame_is_not_what_it_was_an_epoch_ago() -> None:
+    """Frames are lost while nobody breathes: the wave of before must not end the pause."""
+    wave = watched(lambda tick: 0.0, lambda tick: tick % 7 < 2)
+    assert wave.pauses.tolist() == [1] and wave.paused[0] == pytest.approx(30, abs=2)
+
+
+def test_an_outlier_does_not_make_two_pauses_of_one() -> None:
+    wave = watched(lambda tick: -5.0 if tick == 262 else 0.0, lambda tick: False)
+    assert wave.pauses.tolist() == [1] and wave.paused[0] == pytest.approx(30, abs=3)
