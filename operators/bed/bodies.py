@@ -32,6 +32,7 @@ class Bodies:
     taken   (rows, columns)  while the empty bed is not known: the bed's depth with who is in it; NaN where not known
     began   (k,)             how many times as much as one body raises that is held to have been: 1, or for two `TWO`
     plane   (k, 3)           of the empty bed as it was known last: depth at the frame's corner, and more of it per row and column
+    blocks  (k,)             of the region that `alone` was learned in, after the camera was moved; else 0
     """
 
     alone: Samples
@@ -40,17 +41,27 @@ class Bodies:
     taken: Samples
     began: Samples
     plane: Samples
+    blocks: Times
 
     @staticmethod
     def of(k: int, shape: tuple[int, ...]) -> Bodies:
         crowd, two = np.zeros(k, np.int64), np.zeros(k, np.int64)
-        return Bodies(np.zeros((k, 4)), crowd, two, np.full(shape, np.nan), np.ones(k), np.full((k, 3), np.nan))
+        return Bodies(
+            np.zeros((k, 4)),
+            crowd,
+            two,
+            np.full(shape, np.nan),
+            np.ones(k),
+            np.full((k, 3), np.nan),
+            np.zeros(k, np.int64),
+        )
 
     def moved(self, empty: Samples, regions: Times) -> None:
         """The camera was: all lies elsewhere in the picture now; of the `empty` bed (rows, columns) only its plane still holds."""
         self.taken[:] = np.nan
         self.crowd[:] = 0
         for k, (row, column, rows, columns) in enumerate(regions.tolist()):
+            self.blocks[k] = self.blocks[k] or (rows * columns if self.alone[k, 1] else 0)
             depth = empty[row : row + rows, column : column + columns]
             known = np.isfinite(depth)
             if known.sum() > 3:
@@ -60,15 +71,19 @@ class Bodies:
 
     def left(self, k: int) -> None:
         """The bed is empty."""
-        self.alone[k], self.crowd[k], self.two[k] = 0.0, 0, 0
+        self.alone[k], self.crowd[k], self.two[k], self.blocks[k] = 0.0, 0, 0, 0
 
     def take(self, k: int, part: tuple[slice, slice], depth: Samples, rise: float) -> None:
         """Start counting from `depth` (rows, columns) in the `part` of an occupied region with unknown empty depth.
 
-        What stands out of the plane in which the bed lay before the camera was moved says whether these are two.
+        What stands out of the plane in which the bed lay before the camera was moved says whether these are two. A region that is found
+        again may be smaller or larger: one body is as many blocks as it was, and so another share of it.
         """
         if np.isfinite(self.taken[part]).any():
             return
+        if self.blocks[k]:
+            self.alone[k, [0, 2, 3]] *= self.blocks[k] / depth.size
+            self.blocks[k] = 0
         self.taken[part] = depth
         rows, columns = np.mgrid[part]
         above = self.plane[k, 0] + self.plane[k, 1] * rows + self.plane[k, 2] * columns - depth
