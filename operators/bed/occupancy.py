@@ -17,7 +17,7 @@ from kinegraph.operators.bed.frames.regions import take
 from kinegraph.operators.bed.mattress import somebody
 from kinegraph.operators.bed.region_fit import MIN_BLOCKS, MIN_INSIDE, body_at, is_same, suggested, within
 from kinegraph.operators.bed.visitor import RoamingBody
-from kinegraph.stream.chunk import NEVER, NS, Array, Times
+from kinegraph.stream.chunk import NEVER, NS, Array, Samples, Times
 
 AGAIN = 0.7
 """Out of bed below this share of what makes in bed."""
@@ -32,6 +32,10 @@ SITS_MM = 300.0
 need not be within a region."""
 MIN_SHARE = 0.05
 """Who covers less of a region that is too large may be a pet."""
+SMALL_SHARE, SMALL_WINDOWS = 0.06, 3
+"""Who covers less than `min_share` of a bed that was found, and breathes in so many windows in a row, is a child; a cat covers .04."""
+SEEN_SHARE = 0.02
+"""Where this much is raised, and something has breathed within `BLIND_S`, it is not learned as the empty bed."""
 TREMBLE = 0.03
 """This share of a region may seem to move though nothing does: blocks on the edges of a heap near the camera (5 of 338 in chosen rooms)."""
 ALIVE = 0.005
@@ -71,6 +75,7 @@ class Occupancy:
     bodies, visitor             one in a region, or two; and whether something small walks about
     reported   (k,)             whether the newest event says `body`
     found      (k,)             whether the region was found, not set
+    needs      (k,)             how much of the region this sleeper covers at least
     body       (rows, columns)  who lay there in the stretch before; misfits: for how many stretches the regions have not held them; -1:
                                 they do, and this is not asked again
     block      pixels
@@ -93,6 +98,7 @@ class Occupancy:
     visitor: RoamingBody
     reported: Times
     found: Times
+    needs: Samples
     body: NDArray[np.bool_]
     misfits: int
     block: int
@@ -107,7 +113,7 @@ class Occupancy:
         return Occupancy(
             list(sleepers), limits, BedDepths.of(k, shape), state, wanted, np.full(k, NEVER), np.full(k, NEVER), still, lay, doubt, alive,
             was_in, BreathWatch.of(k, shape, rate_hz), Bodies.of(k, shape), RoamingBody.of(k, shape), reported,
-            np.zeros(k, np.int64), np.zeros(shape, np.bool_), 0, block,
+            np.zeros(k, np.int64), np.full(k, limits.min_share), np.zeros(shape, np.bool_), 0, block,
         )  # fmt: skip
 
     def end_second(self, end: int, events: Rows) -> None:
@@ -171,9 +177,9 @@ class Occupancy:
             return
         self.seen[k] = end
         says = int(self.state[k])
-        if raised >= self.limits.min_share:
+        if raised >= self.needs[k]:
             says = IN
-        elif raised < AGAIN * self.limits.min_share:
+        elif raised < AGAIN * self.needs[k]:
             says = OUT
         self._count_bodies(k, float(raised), end, events)
         doubt = int(self.doubt[k])
@@ -217,6 +223,11 @@ class Occupancy:
     def _judge_breath(self, k: int, end: int, events: Rows) -> None:
         """What the newest window of breath says: that nobody breathes any more in a heap, or that somebody does after all."""
         beds = self.beds
+        away = self.state[k] == OUT or self.doubt[k] == ODD
+        if away and self.found[k] and beds.seen_now[k, 0] >= SMALL_SHARE and self.watch.run[k] >= SMALL_WINDOWS:
+            self.needs[k] = min(self.limits.min_share, SMALL_SHARE)
+            self._become(k, IN, end - SMALL_WINDOWS * WINDOW_NS, end - 1, events)
+            return
         if not beds.known(k) and not somebody(beds.above_mattress(k), self.limits.rise_mm, self.limits.min_share):
             return  # nothing there may be a body: the stretch decides
         if self.state[k] == IN and self.watch.silent(k):
@@ -231,7 +242,7 @@ class Occupancy:
             return False
         if not self.beds.known(k):
             return bool(self.lay[k])
-        return bool(self.beds.seen_now[k, 0] >= AGAIN * self.limits.min_share)
+        return bool(self.beds.seen_now[k, 0] >= AGAIN * self.needs[k])
 
     def _judge_stretch(self, k: int, end: int, events: Rows) -> None:
         """What the stretch that is over says: learn the empty bed, or note that somebody is there."""
@@ -246,9 +257,8 @@ class Occupancy:
             return
         self.still[k] *= lies or not self.lay[k]  # what was raised has gone unseen
         self.lay[k] = int(lies)
-        breathes = self._breathes(k, beds.seconds.since) or (
-            self.state[k] == OUT and self.watch.seen[k] > beds.seconds.since
-        )
+        away = self.state[k] == OUT or self.doubt[k] == ODD
+        breathes = self._breathes(k, beds.seconds.since) or (away and self.watch.seen[k] > beds.seconds.since)
         if breathes or moving > max(2.0, ALIVE * beds.regions[k, 2] * beds.regions[k, 3]):
             self._moves(k, known, moving, end, events)
             return
@@ -267,6 +277,8 @@ class Occupancy:
             self._become(k, UNKNOWN, end - round(quiet_s * NS), end - 1, events, "still", keep=True)
         flat = not known and (bool(beds.flat[k]) or (not lies and self.watch.silent(k)))
         if held and not flat and (not patience_s or quiet_s < patience_s):
+            return
+        if away and beds.seen_now[k, 0] >= SEEN_SHARE and self.watch.seen[k] > end - round(BLIND_S * NS):
             return
         beds.learn(k)
         self.bodies.taken[beds.part(k)] = np.nan
@@ -343,7 +355,7 @@ class Occupancy:
         if state != UNKNOWN:
             self.doubt[k] = 0
         if state == OUT:
-            self.was_in[k] = 0
+            self.was_in[k], self.needs[k] = 0, self.limits.min_share
             self.bodies.left(k)
             self.visitor.left(k)
             self.watch.left(k)
