@@ -12,9 +12,10 @@ import sqlite3
 import threading
 import urllib.request
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import structlog
@@ -107,13 +108,21 @@ class AlarmBook:
 
 
 class Deliveries(threading.Thread):
-    """Passes alarms on, in order, to each receiver until it has confirmed: tried again under the same id, as a further attempt."""
+    """Passes alarms on, in order, to each receiver until it has confirmed: tried again under the same id, as a further attempt.
+
+    reachable  by receiver: whether there is a connection, if the receiver needs one; without it nothing is sent, and no attempt counted
+    """
 
     def __init__(
-        self, book: AlarmBook, receivers: dict[str, Callable[[dict[str, Any]], bool]], pause_s: float = 2.0
+        self,
+        book: AlarmBook,
+        receivers: dict[str, Callable[[dict[str, Any]], bool]],
+        pause_s: float = 2.0,
+        *,
+        reachable: Mapping[str, Callable[[], bool]] = MappingProxyType({}),
     ) -> None:
         super().__init__(name="alarms", daemon=True)
-        self._book, self._receivers, self._pause_s = book, receivers, pause_s
+        self._book, self._receivers, self._pause_s, self._reachable = book, receivers, pause_s, reachable
         self._stop = threading.Event()
 
     def run(self) -> None:
@@ -123,6 +132,8 @@ class Deliveries(threading.Thread):
     def turn(self) -> None:
         """Pass on what is due; a receiver that refuses is asked again later, from the same alarm on."""
         for name, deliver in self._receivers.items():
+            if name in self._reachable and not self._reachable[name]():
+                continue
             for alarm in self._book.due(name):
                 if not deliver({**alarm, "attempt": self._book.attempt(alarm["id"], name)}):
                     break
@@ -180,6 +191,9 @@ class MqttAlarms:
             self._done.add(number)
             if event := self._waiting.get(number):
                 event.set()
+
+    def is_connected(self) -> bool:
+        return self._link.there
 
     def deliver(self, alarm: dict[str, Any]) -> bool:
         """Publish, and wait until the broker has confirmed."""

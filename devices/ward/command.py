@@ -141,7 +141,8 @@ def _serve(
         broker = _broker(mqtt, centre) if mqtt else None
         if broker:
             receivers["mqtt"] = broker.deliver
-        centre.deliveries = Deliveries(centre.book, receivers) if receivers else None
+        reachable = {"mqtt": broker.is_connected} if broker else {}
+        centre.deliveries = Deliveries(centre.book, receivers, reachable=reachable) if receivers else None
         centre.start()
         try:
             asyncio.run(serve(centre, address, duration_s=duration_s, browser=browser))

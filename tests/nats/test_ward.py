@@ -167,6 +167,20 @@ def test_what_may_have_arrived_before_comes_again_under_its_id_and_as_a_further_
     again.close()
 
 
+def test_an_alarm_is_attempted_only_where_there_is_a_connection(tmp_path: Path) -> None:
+    """While a broker is away, nothing is sent to it, and the first that arrives is attempt 1."""
+    book, got, connected = AlarmBook(tmp_path / "a.sqlite"), [], []
+    book.update("bed1", [Trouble("alarm", "process gone", "gone")], 1.0)
+    mqtt = {"mqtt": lambda alarm: bool(connected) and not got.append(alarm["attempt"])}
+    deliveries = Deliveries(book, mqtt, reachable={"mqtt": lambda: bool(connected)})
+    for _ in range(3):
+        deliveries.turn()
+    connected.append(True)
+    deliveries.turn()
+    assert got == [1] and not book.due("mqtt")
+    book.close()
+
+
 class Hook(BaseHTTPRequestHandler):
     """Refuses the first request."""
 
