@@ -24,10 +24,14 @@ FIRST_GENERATION = 5_000
 
 @contextmanager
 def calm() -> Iterator[None]:
-    """Within: garbage collection frozen and rare, threads switched fast, large memory mapped by itself. Restores what was set before."""
-    thresholds, interval = gc.get_threshold(), sys.getswitchinterval()
-    gc.collect()
-    gc.freeze()
+    """Within: garbage collection frozen and rare, threads switched fast, large memory mapped by itself. Restores what was set before.
+
+    Where the process has frozen its objects already, that is left as it is: a collection of all of them can take a second.
+    """
+    thresholds, interval, is_frozen = gc.get_threshold(), sys.getswitchinterval(), gc.get_freeze_count() > 0
+    if not is_frozen:
+        gc.collect()
+        gc.freeze()
     map_large_pieces()
     give_back()
     gc.set_threshold(FIRST_GENERATION, *thresholds[1:])
@@ -37,7 +41,8 @@ def calm() -> Iterator[None]:
     finally:
         sys.setswitchinterval(interval)
         gc.set_threshold(*thresholds)
-        gc.unfreeze()
+        if not is_frozen:
+            gc.unfreeze()
 
 
 def let_others_go_on() -> None:

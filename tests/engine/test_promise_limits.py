@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -119,6 +120,15 @@ def test_a_replay_finds_the_first_chunk_whose_stamps_run_backwards(chunks: list[
     assert bool(inside.broken) == (where is not None)
 
 
+@pytest.fixture
+def thawed() -> Iterator[None]:
+    """Within: nothing is frozen; the tests' own objects are again afterwards."""
+    gc.unfreeze()
+    yield
+    gc.freeze()
+
+
+@pytest.mark.usefixtures("thawed")
 def test_while_a_session_runs_garbage_is_collected_seldom_and_threads_take_short_turns() -> None:
     before = gc.get_threshold(), sys.getswitchinterval()
     gc.set_threshold(701, 11, 12)
@@ -131,3 +141,12 @@ def test_while_a_session_runs_garbage_is_collected_seldom_and_threads_take_short
         assert gc.get_freeze_count() == 0
     finally:
         gc.set_threshold(*before[0])
+
+
+@pytest.mark.usefixtures("thawed")
+def test_what_the_process_froze_stays_frozen_after_a_session() -> None:
+    gc.freeze()
+    count = gc.get_freeze_count()
+    with calm():
+        assert gc.get_freeze_count() == count
+    assert gc.get_freeze_count() == count
