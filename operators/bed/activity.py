@@ -182,7 +182,8 @@ class Activity(Operator[ActivityState]):
         if port == "bed":
             for event, time in zip(chunk.data, chunk.time.tolist(), strict=True):
                 self._pass(time - 1, made)
-                s.sleepers.move(str(event["sleeper"]), str(event["state"]), str(event["why"]))
+                throughout = s.begin != NEVER and int(event["onset"]) <= s.begin
+                s.sleepers.move(str(event["sleeper"]), str(event["state"]), str(event["why"]), throughout)
             chunk = Chunk(chunk.time, chunk.data, chunk.until)
         elif port == "view":
             for event, time in zip(chunk.data, chunk.time.tolist(), strict=True):

@@ -79,14 +79,14 @@ class SleeperActivity:
             self.moved = True
             self._forget_noise()
 
-    def move(self, sleeper: str, state: str, why: str) -> None:
-        """Set whether a sleeper is in bed, out of it, or unknown."""
+    def move(self, sleeper: str, state: str, why: str, throughout: bool = False) -> None:
+        """Set whether a sleeper is in bed, out of it, or unknown; `throughout`: since the open epoch's beginning, though decided later."""
         if sleeper in self.sleepers:
             k = self.sleepers.index(sleeper)
             self.why[k] = int(np.flatnonzero(why == WHYS)[0]) if why in WHYS else 0
             self.crowded[k] = self.crowded[k] or why == "body"
             self.bed[k] = int(np.flatnonzero(state == NAMES)[0])
-            self.out[k] = self.out[k] and self.bed[k] == OUT
+            self.out[k] = (self.out[k] or throughout) and self.bed[k] == OUT
 
     def forget(self) -> None:
         """Everything starts again."""

@@ -171,9 +171,13 @@ def motion(epochs: int, seed: int = 0) -> Array:
 
 
 def active(
-    x: Array, bed: list[tuple[float, str]] | None = None, far: Array | None = None, **parameters: float
+    x: Array,
+    bed: list[tuple[float, str]] | None = None,
+    far: Array | None = None,
+    late_s: float = 0.0,
+    **parameters: float,
 ) -> dict[str, Array]:
-    """`bed`: (s since the beginning, state). `far`: the change over twice the time."""
+    """`bed`: (s since the beginning, state), decided `late_s` later. `far`: the change over twice the time."""
     names = ("a", "b")[: x.shape[1]]
     spec = StreamSpec((x.shape[1],), rate_hz=FPS, channels=names, units=("mm",))
     inputs = {"motion": (spec, grid(FPS, len(x), START), x)}
@@ -181,7 +185,7 @@ def active(
         inputs["far"] = (spec, grid(FPS, len(x), START), far)
     if bed is not None:
         events = np.array([(START + round(s * NS), "a", state, 0, 0, "") for s, state in bed], BED)
-        inputs["bed"] = (StreamSpec((), BED), events["onset"].copy(), events)
+        inputs["bed"] = (StreamSpec((), BED), events["onset"] + round(late_s * NS), events)
     return play(Activity(**parameters), **inputs)
 
 
@@ -233,6 +237,13 @@ def test_out_of_bed_is_awake_unknown_is_unknown_and_unseen_is_unseen() -> None:
     assert made["epochs"]["seen"][[15, 16, 18]] == pytest.approx([1 / 3, 2 / 3, 1.0])
     unknown = active(x, [])
     assert np.isnan(unknown["out"]).all(), "the bed's state is unknown"
+
+
+def test_who_left_before_the_epoch_was_out_throughout_though_that_is_decided_in_it() -> None:
+    bed = [(0.0, "in"), (595.0, "out"), (900.0, "in"), (1185.0, "out")]
+    activity = active(motion(42), bed, late_s=6.0)["out"][:42, 0]
+    assert activity[[18, 19, 20, 21]].tolist() == [0.0, 0.0, 1.0, 1.0]
+    assert activity[[38, 39, 40]].tolist() == [0.0, 0.0, 1.0], "decided in the same epoch"
 
 
 @pytest.mark.parametrize("comes", [True, False])
