@@ -28,7 +28,7 @@ from tests.sleep.tilted_room import Stay, TiltedCamera, TiltedRoom
 FPS, SECONDS, TICK_S = 4.0, 1200.0, 0.05
 LENGTHS = (12.0, 15.0, 20.0, 30.0)
 LATE_S = 12.0
-"""A pause is found if one is reported in the epoch of its end or of so long after it."""
+"""A pause is found if one is reported in an epoch that overlaps it, or in the one of so long after its end."""
 SHOWN = ("ToF", "stereo .08 px", "ToF, twice the noise")
 
 
@@ -135,7 +135,7 @@ def measured(seed: int, camera: TiltedCamera, lift_mm: float, tally: Tally) -> N
     for a, b in breath.pauses:
         if b + LATE_S >= SECONDS:
             continue
-        near = np.flatnonzero((left > 0) & (begin <= b + LATE_S) & (end >= b))
+        near = np.flatnonzero((left > 0) & (begin <= b + LATE_S) & (end > a))
         tally.pauses[float(round(b - a))][1] += 1
         if len(near):
             left[near[0]] -= 1
