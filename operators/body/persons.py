@@ -24,6 +24,8 @@ MOST_PARTS = 64
 FORGET_S = 3.0
 LEAP_MM = 500.0
 """What comes from the image's border and is this much nearer than the person was there is something else that hides the person."""
+LACKS = 0.8
+"""Of who keeps less than this share of the pixels of the frame before, a part that nobody owns, and would make up for them, is torn off."""
 
 
 @dataclass(slots=True)
@@ -122,7 +124,7 @@ class Persons(Operator[PersonsState]):
         ahead_at_border(frame, parts, s.depths, LEAP_MM, ahead)
         shared[ahead > 0.5 * shared[:, 1:].sum(axis=1), 1:] = 0
         self._passes(shared, nearer, farther)
-        owners = self._owners(time, count, sizes, shared, least)
+        owners = self._owners(time, sizes[: count + 1], middles, shared, least)
         self._attach(owners, count, middles)
         share_out(frame, parts, owners, s.places, labels)
         return self._measured(time, frame, labels)
@@ -144,9 +146,9 @@ class Persons(Operator[PersonsState]):
         goes_on = kept.sum(axis=0) - kept > kept
         shared -= np.where(goes_on, np.minimum(farther, shared), 0)
 
-    def _owners(self, time: int, count: int, sizes: Array, shared: Array, least: int) -> NDArray[np.int64]:
+    def _owners(self, time: int, sizes: Array, middles: Samples, shared: Array, least: int) -> NDArray[np.int64]:
         """(count + 1, most + 1): the owners of each part; several where people touch. New people take free numbers, the largest first."""
-        s = self.state
+        s, count = self.state, len(sizes) - 1
         owners = np.zeros((count + 1, self.most + 1), np.int64)
         for k in range(1, count + 1):
             if sizes[k] >= least:
@@ -155,12 +157,22 @@ class Persons(Operator[PersonsState]):
         for k in sorted(range(1, count + 1), key=lambda k: (-int(sizes[k]), k)):
             if sizes[k] < least or owners[k].any():
                 continue
+            if (whose := self._torn_off(int(sizes[k]), middles[k], sizes @ owners[:, 1:])) >= 0:
+                owners[k, 1 + whose] = 1
+                continue
             idle = owners[:, 1:].sum(axis=0) == 0
             free = np.flatnonzero(idle & ((s.seen == 0) | (time - s.seen > FORGET_S * NS)))
             back = np.flatnonzero(idle & np.isnan(s.places[:, 3]))
             if len(free) or len(back):  # whoever was lost a moment ago is the first to be taken for one who comes
                 owners[k, 1 + (back if len(back) and s.seen[back[0]] else free if len(free) else back)[0]] = 1
         return owners
+
+    def _torn_off(self, size: int, middle: Samples, kept: Array) -> int:
+        """Who lacks a part of this `size` and `middle` (3,), from 0; -1: no one of those who have `kept` this number (most,) of pixels."""
+        places = self.state.places
+        torn = (kept > 0) & (kept < LACKS * places[:, 3]) & (kept + size < places[:, 3] / LACKS)
+        torn &= np.abs(places[:, 2] - middle[2]) < LEAP_MM
+        return int(torn.argmax()) if torn.any() else -1
 
     def _attach(self, owners: NDArray[np.int64], count: int, middles: Samples) -> None:
         """Small parts near somebody's middle are that person's: half a metre before or behind, within half a body's width."""

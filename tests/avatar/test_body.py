@@ -181,6 +181,18 @@ def test_two_people_who_pass_each_other_keep_their_names() -> None:
     assert set(events["person"]) == {1, 2}
 
 
+def test_who_leaps_aside_in_two_parts_stays_one_person() -> None:
+    """The trunk is half a metre from where it was, the legs are not, and at the belt nothing is measured. The trunk was somebody else."""
+    frames = np.zeros((10, HEIGHT, WIDTH), np.uint16)
+    frames[:5, 4 : HEIGHT // 2, 12:20] = 2000
+    frames[5:, 4 : HEIGHT // 2 - 1, 24:32] = 2000
+    frames[:, HEIGHT // 2 : HEIGHT - 2, 14:24] = 2000
+    persons = Persons()
+    persons.open({"in": DEPTH})
+    labels = np.concatenate([chunk.data for chunk in feed(persons, "in", frames)["labels"]])
+    assert ((labels > 0) == (frames > 0)).all() and labels.max() == 1
+
+
 def test_an_arm_before_the_trunk_is_its_own_persons() -> None:
     persons = Persons()
     persons.open({"in": DEPTH})
