@@ -1,5 +1,6 @@
 # make demo: a simulated treadmill session in the browser, which loses a second on purpose, with a report at the end (make demo DEMO=night: others).
-# make check: lint, types, the laws on three operators (make check OPERATORS="Envelope or Cycles": on others), a quick test of each subject.
+# make lint: style and types.
+# make check: these, the laws on three operators (make check OPERATORS="Envelope or Cycles": on others), a quick test of each subject.
 # make test: everything that guards a change.
 # make nightly: make test and all that takes long: hard nights, long sessions, fuzzing by the minute, peers, every page in the browser.
 # make test-peers: software written elsewhere reads what kinegraph writes; installed for the purpose.
@@ -15,14 +16,16 @@ BIN := .venv/bin
 # compiled modules are kept: without them every start of a command reads all of the source again (1.5 s of processor time)
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo check test nightly coverage test-peers bench fuzz soak nights audit licences site dist clean
+.PHONY: demo lint check test nightly coverage test-peers bench fuzz soak nights audit licences site dist clean
 
 demo: .venv/installed
 	@$(BIN)/kinegraph demo $(DEMO)
 
-check: .venv/installed-for-tests
+lint: .venv/installed-for-tests
 	$(BIN)/ruff check .
 	$(BIN)/mypy --num-workers 2
+
+check: lint
 	$(BIN)/pytest -q tests/laws/test_laws.py -k "$(OPERATORS)"
 	$(BIN)/pytest -q -m "quick and not nightly"
 

@@ -77,7 +77,7 @@ def test_with_warn_the_stamps_follow_the_true_rate(
      FaultInjection(jump_every_s=2.0, jump_s=3600.0)],
 )  # fmt: skip
 @pytest.mark.parametrize("clock", ["counter", "time", "both"])
-@pytest.mark.parametrize("drift_ppm", [0.0, 200.0, -20_000.0])
+@pytest.mark.parametrize("drift_ppm", [0.0, pytest.param(200.0, marks=pytest.mark.nightly), -20_000.0])
 def test_a_device_as_declared_is_left_alone(
     clock: str, wrong: FaultInjection, drift_ppm: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

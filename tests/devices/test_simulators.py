@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import gc
+import re
 import signal
 import subprocess
 import sys
 import threading
 import tracemalloc
+from collections.abc import Iterator
 from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -274,9 +277,6 @@ def test_a_whole_session_outlives_a_pulled_cable(
     assert int(rows["board.emg"][2]) > 700 and int(rows["board.emg"][6]) == 1, "one gap"
 
 
-SIMULATED = [p for p in sorted(CONFIGS.glob("*.yaml")) if "--simulate" in p.read_text(encoding="utf-8")]
-
-
 IDENTIFIED = {
     "cyton_emg": "device board: OpenBCI Cyton, port ",
     "bitalino_emg": "firmware BITalino_v5.2, battery_v 3.9",
@@ -292,7 +292,19 @@ IDENTIFIED = {
 """What `kinegraph info` says of the device, by the configuration that it was recorded with."""
 
 
-@pytest.mark.parametrize("config", SIMULATED, ids=lambda p: p.stem)
+def simulated() -> Iterator[Any]:
+    """Configurations that run without hardware; nightly those of which others use every device."""
+    texts = {path: path.read_text(encoding="utf-8") for path in sorted(CONFIGS.glob("*.yaml"))}
+    used = set[str]()
+    for path in sorted(texts, key=lambda path: (path.stem not in IDENTIFIED, path)):
+        if "--simulate" in texts[path]:
+            devices = set(re.findall(r"use: (devices\.[\w.]+)", texts[path]))
+            is_new = path.stem in IDENTIFIED or not devices <= used
+            used |= devices
+            yield pytest.param(path, id=path.stem, marks=[] if is_new else pytest.mark.nightly)
+
+
+@pytest.mark.parametrize("config", simulated())
 def test_a_config_runs_without_hardware(
     config: Path, kinegraph: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

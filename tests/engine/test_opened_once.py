@@ -22,6 +22,7 @@ from kinegraph.stream.laws.play import through_file
 from kinegraph.stream.operator import Operator
 from kinegraph.stream.outlet import Outlet
 from tests.support.pose_model import pose_network_or_skip
+from tests.support.tiers import one_in_five
 
 CONFIGS = sorted((Path(__file__).resolve().parents[2] / "configs").glob("*.yaml"))
 
@@ -80,7 +81,7 @@ def identical(a: Any, b: Any) -> bool:
     return all(a[n].tobytes() == b[n].tobytes() for n in a.dtype.names) if a.dtype.names else a.tobytes() == b.tobytes()
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=[path.stem for path in CONFIGS])
+@pytest.mark.parametrize("path", one_in_five(CONFIGS), ids=lambda path: path.stem)
 def test_a_shipped_graphs_nodes_are_opened_once_and_put_back_after_they_were_tried(
     path: Path, openings: Openings, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,7 +23,7 @@ from tests.support.command_line import succeeding
 from tests.support.measured import MOST_S
 from tests.support.mutants import SECONDS, mutant, seed_of
 
-MUTANTS = 75
+MUTANTS = 25
 """As many are tried of each format where no time is given: the same ones every time."""
 
 RECORDED = edfio.Recording(startdate=datetime.date(2024, 5, 1))

@@ -34,7 +34,7 @@ from tests.support.measured import MOST_S
 from tests.support.motion_made import RATE, TREE, take, walking
 from tests.support.mutants import SECONDS, mutant, seed_of
 
-MUTANTS = 75
+MUTANTS = 25
 Reader = Callable[[Path], object]
 SHIPPED = Path(operators.__file__).parent
 FEATURES = StreamSpec((3,), rate_hz=30.0, channels=("a", "b", "c"))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import subprocess
-import sys
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from kinegraph.stream.engine.replay import Replay
 from kinegraph.stream.graph.plan import plan
 from kinegraph.stream.graph.reading.load import load
 from kinegraph.stream.recording import Recording
+from tests.support.command_line import call_command, succeeding
 
 pytestmark = pytest.mark.xdist_group("treadmill session")  # one process runs it, once
 
@@ -22,11 +23,12 @@ CONFIG = Path(__file__).resolve().parents[2] / "configs" / "treadmill_emg.yaml"
 SECONDS = 20
 
 
-def kinegraph(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [str(Path(sys.executable).parent / "kinegraph"), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=280)
-    assert done.returncode == 0, done.stderr
-    return done
+def kinegraph(*arguments: str | Path) -> str:
+    """What a command prints."""
+    shown = StringIO()
+    with redirect_stdout(shown), succeeding():
+        call_command(*arguments)
+    return shown.getvalue()
 
 
 def table(path: Path) -> list[dict[str, str]]:
@@ -41,8 +43,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     quick = ["treadmill.realtime=false", f"treadmill.duration_s={SECONDS}"]
     faults = "treadmill.faults=[{kind: flat, muscle: SO, from_s: 6, for_s: 8}, {kind: lost, from_s: 10, for_s: 0.3}]"
     sets = [part for setting in [*quick, faults] for part in ("--set", setting)]
-    done = kinegraph("run", CONFIG, *sets, "-o", folder / "recording", "--view", "lines")
-    return folder, done.stdout
+    return folder, kinegraph("run", CONFIG, *sets, "-o", folder / "recording", "--view", "lines")
 
 
 def test_every_cycle_is_where_it_truly_was(session: tuple[Path, str]) -> None:
@@ -107,7 +108,7 @@ def test_a_replay_names_whose_recording_it_is(tmp_path: Path) -> None:
     ):
         page = tmp_path / f"{len(words)}{len(settings)}{name}.html"
         say = ["--speak", "report", "--set", f"report.path={page}", *settings]
-        output = kinegraph("replay", CONFIG, tmp_path / f"{name}.mcap", *say).stdout
+        output = kinegraph("replay", CONFIG, tmp_path / f"{name}.mcap", *say)
         assert (
             words in page.read_text()
             and "Subject <b>simulated" not in page.read_text()

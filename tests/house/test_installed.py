@@ -107,11 +107,8 @@ def graphs_listed(lines: list[str]) -> set[str]:
 def test_the_readme_works_from_a_wheel(site: Path, tmp_path: Path) -> None:
     for name in ("stream", "devices", "operators", "configs"):  # somebody's own, which nothing of ours is taken for
         (tmp_path / f"{name}.py").write_text("raise SystemExit('imported')\n", encoding="utf-8")
-    inside = run(site / "python", "-c", "import kinegraph.stream as s; print(s.__file__)", cwd=tmp_path).strip()
-    assert Path(inside).is_relative_to(site.parent)
     listed = run(site / "kinegraph", "configs", cwd=tmp_path)
     assert graphs_listed(listed.splitlines()) == NAMES
-    assert "treadmill" in run(site / "kinegraph", "check", "treadmill_emg", cwd=tmp_path)
     run(site / "kinegraph", "configs", "treadmill_emg", "witmotion.yaml", "-o", "mine", cwd=tmp_path)
     for name in ("treadmill_emg", "witmotion"):
         copied, original = tmp_path / "mine" / f"{name}.yaml", HOUSE / "configs" / f"{name}.yaml"

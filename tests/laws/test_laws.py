@@ -20,7 +20,7 @@ from kinegraph.stream.laws import Conformance, checks, trials
 from kinegraph.stream.operator import Operator
 from kinegraph.stream.outlet import Outlet
 
-EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 3
+EXAMPLES = int(os.environ.get("KINEGRAPH_EXAMPLES", "0")) or 2
 
 
 def _found() -> tuple[dict[str, type[Operator[Any]]], dict[str, str]]:

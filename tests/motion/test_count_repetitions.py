@@ -11,6 +11,7 @@ import pytest
 from kinegraph.operators.segmentation.evaluation.found import read_found
 from tests.support.command_line import call_command, succeeding
 from tests.support.real import needs_data
+from tests.support.tiers import rest_nightly
 
 COUNTER = Path(__file__).resolve().parents[2] / "configs" / "count_repetitions.yaml"
 DATA = Path(os.environ.get("KINEGRAPH_DATA", "/nowhere"))
@@ -58,7 +59,8 @@ def phone(counts, cycle_s, rest_s, seed, *, noise=0.1, swing=2.5):
 
 
 @pytest.mark.parametrize(
-    ("counts", "cycle_s", "rest_s"), [((12,), 2.0, 4.0), ((20,), 0.8, 20.0), ((8, 10), 1.5, 15.0), ((6,), 4.0, 60.0)]
+    ("counts", "cycle_s", "rest_s"),
+    rest_nightly(((8, 10), 1.5, 15.0), ((12,), 2.0, 4.0), ((20,), 0.8, 20.0), ((6,), 4.0, 60.0)),
 )
 def test_a_phone_that_lay_still_for_any_time_is_counted_right(tmp_path, counts, cycle_s, rest_s):
     time, acceleration, bouts = phone(counts, cycle_s, rest_s, seed=len(counts))

@@ -19,6 +19,7 @@ from kinegraph.operators.segmentation.kernels.layout import (
 )
 from tests.motion.segmentation_runs import QUICK, played
 from tests.motion.test_segmentation_kernels import FRAMES
+from tests.support.tiers import rest_nightly
 
 
 def exercise(kind: int, length: int, times: int = 1, width: int = 4) -> Any:
@@ -59,7 +60,7 @@ def holed(x: Any, kind: str) -> Any:
     return {"far from zero": x + 1e6, "beyond float32": x * 1e30, "tiny": x * 1e-25}.get(kind, x)
 
 
-@pytest.mark.parametrize("radius", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("radius", rest_nightly(1.0, 0.05, 0.3))
 @pytest.mark.parametrize("kind", ["as it is", "values", "a feature", "far from zero", "beyond float32", "tiny"])
 def test_what_the_index_leaves_out_would_not_have_matched(kind: str, radius: float) -> None:
     rng = np.random.default_rng(2)

@@ -64,12 +64,17 @@ def check_nearest(index, plain, k, q, at, band, found):
     ("stream", "width", "window", "n"),
     [
         (motion, 3, 300, 900),
-        (motion, 24, 1000, 2200),
-        (motion, 75, 600, 1300),
-        (motion, 200, 300, 700),
-        (uniform, 3, 700, 1500),
         (uniform, 17, 300, 900),
-        (uniform, 60, 1000, 1500),
+        (motion, 200, 300, 700),
+        *(
+            pytest.param(*given, marks=pytest.mark.nightly)
+            for given in (
+                (motion, 24, 1000, 2200),
+                (motion, 75, 600, 1300),
+                (uniform, 3, 700, 1500),
+                (uniform, 60, 1000, 1500),
+            )
+        ),
     ],
 )
 @pytest.mark.usefixtures("path")

@@ -270,6 +270,7 @@ def min_difference(page: LiveBrowser, one: str, other: str) -> float:
     return min(found)
 
 
+@pytest.mark.nightly
 def test_the_tasks_of_the_study(page: LiveBrowser) -> None:
     """T1 to T6, R11 (each answer to a drag is there before the next)."""
     light(page)
@@ -397,6 +398,7 @@ def test_a_person_finds_the_lame_one_of_two_real_trots(browser: LiveBrowser, tmp
         assert page.complaints == []
 
 
+@pytest.mark.nightly
 def test_a_drag_is_answered_at_once(served: PageProcess) -> None:
     """R11: where ten sequences stand at another time, at the WebSocket, within the 33 ms of a frame; the bench has a million poses."""
     took = []

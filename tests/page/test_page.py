@@ -27,6 +27,7 @@ from tests.support.browser import needs_browser
 from tests.support.command_line import KINEGRAPH
 from tests.support.live_browser import LiveBrowser, live_browser
 from tests.support.page_session import PageProcess, needs_page, page_process, see, until
+from tests.support.tiers import rest_nightly
 
 pytestmark = [needs_page, pytest.mark.timeout(280)]
 
@@ -337,7 +338,7 @@ def test_pictures_that_are_not_recorded_are_shown_to_nobody_outside(tmp_path: Pa
                         client.recv(timeout=20)
 
 
-@pytest.mark.parametrize("at", ["127.0.0.1:0", "0.0.0.0:0"])
+@pytest.mark.parametrize("at", rest_nightly("0.0.0.0:0", "127.0.0.1:0"))
 def test_the_address_has_a_token_and_a_cookie_takes_over(tmp_path: Path, at: str) -> None:
     (tmp_path / "small.yaml").write_text(SMALL)
     with page_process(tmp_path, "run", "small.yaml", "--view", "none", "--no-record", at=at) as process:
@@ -357,11 +358,18 @@ def test_the_address_has_a_token_and_a_cookie_takes_over(tmp_path: Path, at: str
             see(client)
 
 
-def test_a_replay_is_shown_too_and_takes_no_marks(tmp_path: Path) -> None:
-    (tmp_path / "small.yaml").write_text(SMALL)
-    command = [KINEGRAPH, "run", "small.yaml", "--for", "4", "--view", "none", "-o", "s"]
-    assert subprocess.run(command, cwd=tmp_path, capture_output=True).returncode == 0
-    with page_process(tmp_path, "replay", "small.yaml", "s", "--verify", "-q", "--speed", "0.5") as process:
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A graph, and six seconds that were recorded with it, which tests only read."""
+    folder = tmp_path_factory.mktemp("recorded")
+    (folder / "small.yaml").write_text(SMALL)
+    command = [KINEGRAPH, "run", "small.yaml", "--for", "6", "--view", "none", "-o", "s"]
+    assert subprocess.run(command, cwd=folder, capture_output=True).returncode == 0
+    return folder / "small.yaml", folder / "s"
+
+
+def test_a_replay_is_shown_too_and_takes_no_marks(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+    with page_process(tmp_path, "replay", *recorded, "--verify", "-q", "--speed", "0.5") as process:
         with process.client() as client, process.client() as other:
             hello = see(client)
             assert (hello["mode"], hello["values"]) == ("replay", [])
@@ -375,12 +383,9 @@ def test_a_replay_is_shown_too_and_takes_no_marks(tmp_path: Path) -> None:
 
 @needs_browser
 def test_a_person_pauses_a_replay_steps_changes_its_speed_and_goes_back_and_it_is_still_what_it_was_live(
-    browser: LiveBrowser, tmp_path: Path
+    browser: LiveBrowser, recorded: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    (tmp_path / "small.yaml").write_text(SMALL)
-    command = [KINEGRAPH, "run", "small.yaml", "--for", "6", "--view", "none", "-o", "s"]
-    assert subprocess.run(command, cwd=tmp_path, capture_output=True).returncode == 0
-    with page_process(tmp_path, "replay", "small.yaml", "s", "--verify", "-q", "--speed", "0.5") as process:
+    with page_process(tmp_path, "replay", *recorded, "--verify", "-q", "--speed", "0.5") as process:
         browser.open(process.url)
         browser.wait("document.body.dataset.replayed > 0.5")
         browser.type(" ")

@@ -3,7 +3,10 @@
 Once of a simulated session, and once of real recordings: EMG on a treadmill, motion capture, a galloping horse's mesh, and depth images
 (rendered of a real motion).
 
-`KINEGRAPH_PICTURES=docs/pictures pytest tests/page/test_page_panels.py -k pictures` makes the pictures of docs/use/page.md.
+Tests are in the order of their moments, to which each step draws every panel.
+
+`KINEGRAPH_PICTURES=docs/pictures pytest -m nightly tests/page/test_page_panels.py -k pictures` makes those
+of docs/use/page.md.
 """
 
 from __future__ import annotations
@@ -189,14 +192,21 @@ def shown(recorded: Path) -> Shown:
 
 
 def seek(page: LiveBrowser, seconds: int) -> None:
-    """Move to a whole second by the keys (a step is a tenth of what is shown), and wait until all panels show it."""
-    page.press("Home")
-    page.wait("+document.body.dataset.looked === 0")
-    for second in range(10, seconds, 10):  # what is asked for is answered in order; few are asked for at once
-        page.press("ArrowRight", 10)
-        page.wait(f"Math.abs(document.body.dataset.looked - {second}) < .001")
-    page.press("ArrowRight", seconds - 10 * ((seconds - 1) // 10))
-    page.wait(f"Math.abs(document.body.dataset.looked - {seconds}) < .001")
+    """Move to a whole second by the keys (a step is a tenth of what is shown), and wait until all panels show it.
+
+    Onwards where possible, otherwise from the beginning: each step draws every panel.
+    """
+    at = float(page.value("+document.body.dataset.looked || -.5"))
+    if at > seconds or abs(at - round(at)) > 0.001:
+        page.press("Home")
+        page.wait("+document.body.dataset.looked === 0")
+        at = 0.0
+    at = round(at)
+    while at < seconds:  # what is asked for is answered in order; few are asked for at once
+        steps = min(10, seconds - at)
+        page.press("ArrowRight", steps)
+        at += steps
+        page.wait(f"Math.abs(document.body.dataset.looked - {at}) < .001")
 
 
 def is_at(page: LiveBrowser, panel: str, stamp: float) -> None:
@@ -213,6 +223,20 @@ def in_view(page: LiveBrowser, panel: str, points: Array) -> Array:
     script = f"""[...document.querySelectorAll('[aria-label="{panel}"] .name')].map(e => e.hidden ? [NaN, NaN] :
       e.style.transform.match(/-?[\\d.]+/g).map(Number))"""
     return np.array([[v if v is not None else np.nan for v in row] for row in page.value(script)], float)
+
+
+def test_a_mesh_is_shaded_and_moves(page: LiveBrowser, shown: Shown, at: dict[str, Any]) -> None:
+    drawn = []
+    for t in (*at["mesh"], at["mesh"][0]):
+        seek(page, t)
+        is_at(page, "a steered mesh", shown.at("steer.mesh", t)[0])
+        drawn.append({tuple(p) for p in page.like(canvas("a steered mesh"), "#8fa8c8", within=140)})
+        assert page.colours(canvas("a steered mesh")) > 30
+    assert len(drawn[0]) > 3000
+    assert drawn[0] == drawn[2] != drawn[1]
+    assert page.value("document.querySelector('[aria-label=\"a steered mesh\"]').dataset.points") == str(
+        shown.specs["steer.mesh"].shape[0]
+    )
 
 
 def test_markers_stand_where_they_were_and_a_hidden_one_is_not_drawn(
@@ -273,42 +297,6 @@ def test_a_skeleton_stands_where_its_joints_are(page: LiveBrowser, shown: Shown,
         a, b = names[joint], names[parent]
         if parent >= 0 and np.hypot(*(a - b)) > 25:
             assert np.hypot(*(bones - (a + b) / 2).T).min() < 4, (tree.joints[joint], "no line to its parent")
-
-
-def test_a_mesh_is_shaded_and_moves(page: LiveBrowser, shown: Shown, at: dict[str, Any]) -> None:
-    drawn = []
-    for t in (*at["mesh"], at["mesh"][0]):
-        seek(page, t)
-        is_at(page, "a steered mesh", shown.at("steer.mesh", t)[0])
-        drawn.append({tuple(p) for p in page.like(canvas("a steered mesh"), "#8fa8c8", within=140)})
-        assert page.colours(canvas("a steered mesh")) > 30
-    assert len(drawn[0]) > 3000
-    assert drawn[0] == drawn[2] != drawn[1]
-    assert page.value("document.querySelector('[aria-label=\"a steered mesh\"]').dataset.points") == str(
-        shown.specs["steer.mesh"].shape[0]
-    )
-
-
-def test_a_frame_has_its_pixels_and_those_without_a_value_are_hatched(
-    page: LiveBrowser, shown: Shown, at: dict[str, Any]
-) -> None:
-    stamp, frame = shown.at("camera.depth", at["depth"])
-    seek(page, at["depth"])
-    is_at(page, "depth", stamp)
-    pixels = np.array(page.value(PIXELS), np.uint8).reshape(*frame.shape, 4)[..., :3].astype(int)
-    empty = (pixels[..., 0] == pixels[..., 1]) & (pixels[..., 1] == pixels[..., 2])
-    assert np.array_equal(empty, frame == 0)
-    near, far = (np.argwhere(frame == v)[0] for v in (frame[frame > 0].min(), frame.max()))
-    assert tuple(pixels[*near]) == (68, 1, 84) and tuple(pixels[*far]) == (253, 231, 37)
-    order = np.argsort(frame[~empty], kind="stable")
-    green = pixels[~empty][order][:, 1]
-    assert (np.diff(green) >= 0).all(), "farther is not lighter"
-    reported = page.value("document.querySelector('[aria-label=\"depth\"] .legend').textContent")
-    assert f"{frame[frame > 0].min() / 1000:.2f}" in reported and " m" in reported
-
-
-PIXELS = """(c => [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data])(
-  document.querySelector('[aria-label="depth"] canvas'))"""
 
 
 def test_cycles_have_their_mean_band_and_last_cycle(page: LiveBrowser, shown: Shown, at: dict[str, Any]) -> None:
@@ -418,9 +406,32 @@ def test_events_are_bars_from_onset_to_end(page: LiveBrowser, shown: Shown, at: 
         assert {*range(round(x) - 2, round(x) + 2)} - {*bars.tolist()}, "no bar begins there"
 
 
-PICTURES = {"cycles": 18, "both": 12, "a steered mesh": 10, "depth": 60}
+def test_a_frame_has_its_pixels_and_those_without_a_value_are_hatched(
+    page: LiveBrowser, shown: Shown, at: dict[str, Any]
+) -> None:
+    stamp, frame = shown.at("camera.depth", at["depth"])
+    seek(page, at["depth"])
+    is_at(page, "depth", stamp)
+    pixels = np.array(page.value(PIXELS), np.uint8).reshape(*frame.shape, 4)[..., :3].astype(int)
+    empty = (pixels[..., 0] == pixels[..., 1]) & (pixels[..., 1] == pixels[..., 2])
+    assert np.array_equal(empty, frame == 0)
+    near, far = (np.argwhere(frame == v)[0] for v in (frame[frame > 0].min(), frame.max()))
+    assert tuple(pixels[*near]) == (68, 1, 84) and tuple(pixels[*far]) == (253, 231, 37)
+    order = np.argsort(frame[~empty], kind="stable")
+    green = pixels[~empty][order][:, 1]
+    assert (np.diff(green) >= 0).all(), "farther is not lighter"
+    reported = page.value("document.querySelector('[aria-label=\"depth\"] .legend').textContent")
+    assert f"{frame[frame > 0].min() / 1000:.2f}" in reported and " m" in reported
 
 
+PIXELS = """(c => [...c.getContext('2d').getImageData(0, 0, c.width, c.height).data])(
+  document.querySelector('[aria-label="depth"] canvas'))"""
+
+
+PICTURES = {"a steered mesh": 10, "both": 12, "cycles": 18, "depth": 60}
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["simulated"], indirect=True)
 @pytest.mark.parametrize(("panel", "moment"), PICTURES.items())
 def test_pictures(page: LiveBrowser, shown: Shown, panel: str, moment: int, tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from kinegraph.stream.errors import GraphError, InputError, KinegraphError, Para
 from kinegraph.stream.graph.shipped import shipped
 from kinegraph.stream.laws import Broken
 from tests.public_names import HOUSE, PACKAGES, text_of
+from tests.support.tiers import one_in_five
 
 RNG = np.random.default_rng(12)
 TWO = RNG.normal(size=(3000, 2))
@@ -152,7 +153,7 @@ def test_what_python_builds_is_what_yaml_builds() -> None:
     assert read.check().session == {"subject": "S01"}
 
 
-@pytest.mark.parametrize("name", sorted(shipped()))
+@pytest.mark.parametrize("name", one_in_five(sorted(shipped())))
 def test_a_graph_written_as_python_is_the_same_graph(name: str) -> None:
     if name == "body_markers":
         pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed (extra pose)")
