@@ -65,7 +65,7 @@ class Segment(Operator[SegmentState]):
     radius_share  of the median distance between frames of the window: the radius, while no activity is open; `radius` fixes it
 
     A repetition and its steps are final at the latest 2.75 cycles after its end, a bout 3. Memory, in numbers, with times in frames:
-    8 cycle_s^2 + 2 features window_s (mirrored: 3) + 75 features cycle_s: 256 exemplars, or 24 of the longest. Distances are taken
+    8 cycle_s^2 + 2 features window_s (mirrored: 3) + 46 features cycle_s, of 32 exemplars. Distances are taken
     over what both frames have; a frame has no neighbour if it lacks more than half of what has been there within `window_s`, and a feature
     that has not is left out, which is logged. A gap longer than `reset_gap_s` ends what is open; exemplars are kept.
     Source: thesis, 2.3 to 2.5. Departures: docs/method/segmentation.md.

@@ -168,7 +168,7 @@ def test_every_process_takes_the_same_fingerprints(tmp_path: Path) -> None:
     code = (
         "import kinegraph.operators.neighbours.operator as o, kinegraph.operators.neighbours.layout as l\n"
         "import kinegraph, kinegraph.operators.filters.iir as i\n"
-        "import kinegraph.operators.segmentation.operator as s, kinegraph.operators.segmentation.kernels.exemplars as e\n"
+        "import kinegraph.operators.segmentation.operator as s, kinegraph.operators.segmentation.kernels.clusters as e\n"
         "from kinegraph.stream.compiler.fingerprint import fingerprint as f\n"
         "print([f(v.py_func) for m in (o, l, i, s, e) for n, v in sorted(vars(m).items()) if hasattr(v, 'py_func')])\n"
         "print(kinegraph.__path__)"

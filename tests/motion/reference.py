@@ -15,8 +15,7 @@ import numpy as np
 Event = tuple[Any, ...]
 KNOWN, SHARED, FAR, CALM, LEAST, STILL, NOISE, TRAVELS = 2, 4, 100.0, 3.0, 0.02, 0.12, 1.5, 0.5
 SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
-DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 256
-LONGEST_EXEMPLARS = 24
+DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 32
 CHANCE = 0.7
 STANDS, EXTENT, HOME, LIKE_IT, MOST = 0.75, 2.0, 0.4, 0.5, 128
 
@@ -1084,11 +1083,8 @@ class Reference:
         return found, met
 
     def keep(self, first: int, length: int) -> int:
-        while True:
-            kept = {slot: exemplar for slot, exemplar in enumerate(self.exemplars) if exemplar}
-            frames_kept = sum(len(exemplar.frames) for exemplar in kept.values())
-            if len(kept) < MOST_CLUSTERS and frames_kept + length <= LONGEST_EXEMPLARS * self.p["max_lag"]:
-                break
+        kept = {slot: exemplar for slot, exemplar in enumerate(self.exemplars) if exemplar}
+        if len(kept) == MOST_CLUSTERS:
             self.exemplars[min(kept, key=lambda k: kept[k].used)] = None
         slot = self.exemplars.index(None)
         frames = self.x[first : first + length].copy()

@@ -1,4 +1,4 @@
-"""Exemplars: which of them can match at all, by the index; how many are kept, and which make room."""
+"""Exemplars: which of them can match at all; how many are kept, and which make room."""
 
 from __future__ import annotations
 
@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 
 from kinegraph.operators.segmentation import Segment
-from kinegraph.operators.segmentation.kernels.clusters import fit, keep, recognise
+from kinegraph.operators.segmentation.kernels.clusters import can_match, fit, keep, recognise
 from kinegraph.operators.segmentation.kernels.distances import insert
-from kinegraph.operators.segmentation.kernels.exemplars import candidates, copied
-from kinegraph.operators.segmentation.kernels.layout import (
-    LONGEST_EXEMPLARS,
-    MOST_CLUSTERS,
-    Memory,
-    allocate,
-)
+from kinegraph.operators.segmentation.kernels.layout import MOST_CLUSTERS, Memory, allocate
 from tests.motion.segmentation_runs import QUICK, played
 from tests.motion.test_segmentation_kernels import FRAMES
 from tests.support.tiers import rest_nightly
@@ -62,7 +56,7 @@ def holed(x: Any, kind: str) -> Any:
 
 @pytest.mark.parametrize("radius", rest_nightly(1.0, 0.05, 0.3))
 @pytest.mark.parametrize("kind", ["as it is", "values", "a feature", "far from zero", "beyond float32", "tiny"])
-def test_what_the_index_leaves_out_would_not_have_matched(kind: str, radius: float) -> None:
+def test_what_is_left_out_would_not_have_matched(kind: str, radius: float) -> None:
     rng = np.random.default_rng(2)
     made = allocate(4, FRAMES, radius * {"beyond float32": 1e30, "tiny": 1e-25}.get(kind, 1.0), 0.5).with_room(64)
     met = []
@@ -72,9 +66,8 @@ def test_what_the_index_leaves_out_would_not_have_matched(kind: str, radius: flo
         first, last = end - 2 * length, end - 1
         found = recognise(made, first, last, length)
         assert found == fitting(made, first, last, length)
-        may = candidates(made, first, last)
-        whole = [slot for slot in living(made) if not may[slot]]
-        assert all(fit(made, slot, first, last, False)[0] > made.radius for slot in whole)
+        left = [slot for slot in living(made) if not can_match(made, slot, first, last)]
+        assert all(fit(made, slot, first, last, False)[0] > made.radius for slot in left)
         met.append(found[0] >= 0)
         if found[0] < 0:
             keep(made, first, length)
@@ -87,38 +80,24 @@ def test_what_the_index_leaves_out_would_not_have_matched(kind: str, radius: flo
 
 def test_few_exemplars_are_warped_where_few_can_match() -> None:
     made = allocate(4, FRAMES, 0.1, 0.5).with_room(64)
-    for kind in range(40):
+    for kind in range(MOST_CLUSTERS):
         end = seen(made, exercise(kind, 15))
         keep(made, end - 15, 15)
     end = seen(made, exercise(7, 15, 2))
-    may = candidates(made, end - 30, end - 1)
-    assert may[7] and may.sum() <= 10
+    may = [can_match(made, slot, end - 30, end - 1) for slot in range(MOST_CLUSTERS)]
+    assert may[7] and sum(may) <= 10
 
 
-def test_as_many_are_kept_as_the_longest_have_frames_and_what_they_hold_does_not_change() -> None:
+def test_those_used_longest_ago_make_room_and_what_the_others_hold_does_not_change() -> None:
     made = allocate(4, FRAMES, 0.1, 0.5).with_room(64)
-    lengths = np.random.default_rng(1).integers(5, 30, 400)
     held: dict[int, Any] = {}
-    for kind, length in enumerate(lengths):
+    for kind, length in enumerate(np.random.default_rng(1).integers(5, 30, 3 * MOST_CLUSTERS)):
         x = exercise(kind, int(length))
         end = seen(made, x)
-        slot = keep(made, end - len(x), len(x))
-        held[slot] = x
-        kept = living(made)
-        frames = made.exemplar_sizes[kept].sum()
-        assert frames <= LONGEST_EXEMPLARS * made.max_lag < frames + 30 or len(kept) == kind + 1
-        for k in kept:
-            assert np.array_equal(copied(made, k), held[k].T)
-    newest = made.cluster_numbers[made.cluster_numbers >= 0]
-    assert newest.max() == 399 and newest.min() == 400 - len(newest), "those used longest ago made room"
-
-
-def test_no_more_than_the_most_are_kept() -> None:
-    made = allocate(4, {**FRAMES, "max_lag": 80}, 0.1, 0.5).with_room(64)
-    for kind in range(MOST_CLUSTERS + 5):
-        end = seen(made, exercise(kind, 6))
-        keep(made, end - 6, 6)
-    assert sorted(made.cluster_numbers) == list(range(5, MOST_CLUSTERS + 5))
+        held[keep(made, end - len(x), len(x))] = x
+        for k in living(made):
+            assert np.array_equal(made.exemplars[k, :, : made.exemplar_sizes[k]], held[k].T)
+    assert sorted(made.cluster_numbers) == list(range(2 * MOST_CLUSTERS, 3 * MOST_CLUSTERS))
 
 
 def test_an_exercise_is_known_again_after_thirty_others() -> None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from kinegraph.operators.segmentation.kernels.cycles import GAIN, advance, columns, travel
-from kinegraph.operators.segmentation.kernels.exemplars import candidates, store, vacate
-from kinegraph.operators.segmentation.kernels.layout import (
-    Memory,
-)
+from kinegraph.operators.segmentation.kernels.layout import Memory
 from kinegraph.stream.kernel import kernel
+
+ROUNDING = 1e-9
+"""Sums of squares may differ by this share of their size."""
 
 
 @kernel
@@ -34,10 +36,10 @@ def fit(s: Memory, slot: int, first: int, last: int, whole: bool) -> tuple[float
 def recognise(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
     """The known exemplar that fits best into frames first..last, which hold a cycle of `length` frames, and where; -1: none does."""
     best, found, met = s.radius, -1, first
-    may = candidates(s, first, last)
     for slot in range(s.cluster_numbers.shape[0]):
         size = s.exemplar_sizes[slot]
-        if may[slot] and s.cluster_numbers[slot] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
+        alive = s.cluster_numbers[slot] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4
+        if alive and can_match(s, slot, first, last):
             mean, start = fit(s, slot, first, last, False)
             if mean < best:
                 best, found, met = mean, slot, start
@@ -45,11 +47,39 @@ def recognise(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
 
 
 @kernel
+def can_match(s: Memory, slot: int, first: int, last: int) -> bool:
+    """Whether any of the frames first..last comes within the radius of any frame of the exemplar: if not, no path along it does."""
+    width, ring = s.frames.shape[0], s.times.shape[0]
+    most, row = width * s.radius * s.radius * (1.0 + ROUNDING), np.empty(width)
+    for i in range(first, last + 1):
+        for d in range(width):
+            row[d] = s.frames[d, i % ring]
+        for c in range(s.exemplar_sizes[slot]):
+            total = 0.0
+            for d in range(width):
+                apart = row[d] - s.exemplars[slot, d, c]
+                if not math.isnan(apart):
+                    total += apart * apart
+                    if total > most:
+                        break
+            if total <= most:
+                return True
+    return False
+
+
+@kernel
 def keep(s: Memory, first: int, length: int) -> int:
-    """`length` frames from `first` on are the exemplar of a new cluster; its slot. Those that were not used for longest make room."""
-    slot = vacate(s, length)
-    store(s, slot, first, length)
-    s.cluster_numbers[slot] = s.next_cluster
+    """`length` frames from `first` on are the exemplar of a new cluster; its slot. Where all are taken, the one not used for longest."""
+    slot = 0
+    for k in range(s.cluster_numbers.shape[0] - 1, -1, -1):
+        if s.cluster_numbers[k] < 0:
+            slot = k
+    if s.cluster_numbers[slot] >= 0:
+        slot = int(np.argmin(s.exemplar_uses))
+    for d in range(s.frames.shape[0]):
+        for c in range(length):
+            s.exemplars[slot, d, c] = s.frames[d, (first + c) % s.times.shape[0]]
+    s.exemplar_sizes[slot], s.cluster_numbers[slot] = length, s.next_cluster
     s.leads[slot] = 0.0
     s.travels[slot] = travel(s, first, first + length - 1, length)
     s.next_cluster += 1

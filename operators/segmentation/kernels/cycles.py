@@ -107,16 +107,14 @@ def first_dip(s: Memory, last: int, last_chance: bool) -> tuple[int, bool]:
 def columns(s: Memory, i: int, slot: int, length: int) -> None:
     """Distances of frame `i` to the exemplar's frames, into `scratch`."""
     out, common = s.scratch, s.common
-    ring, room = s.times.shape[0], s.exemplars.shape[1]
+    ring = s.times.shape[0]
     for c in range(length):
         out[c] = common[c] = 0.0
-    at = s.exemplar_starts[slot] % room
-    before = min(length, room - at)
     for d in range(s.frames.shape[0]):
         v = s.frames[d, i % ring]
-        line = s.exemplars[d]
+        line = s.exemplars[slot, d]
         for c in range(length):
-            apart = v - line[at + c if c < before else c - before]
+            apart = v - line[c]
             if not math.isnan(apart):
                 out[c] += apart * apart
                 common[c] += 1.0

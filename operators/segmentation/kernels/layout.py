@@ -8,8 +8,6 @@ from operator import attrgetter
 
 import numpy as np
 
-from kinegraph.operators.neighbours.layout import Floats
-from kinegraph.operators.neighbours.layout import allocate as index_of
 from kinegraph.stream.chunk import Array, Samples, Times
 from kinegraph.stream.compiler.record import numbers_of, record
 
@@ -98,7 +96,6 @@ class Numbers:
     next_cluster: int  # number of the next new one
     clock: int  # counts uses of exemplars
     turn: int  # the exemplar that is compared next
-    kept: int  # frames of exemplars entered so far, those moved on counted again
     travel_share: float  # see TRAVELS
 
     is_held: bool  # whether an activity has ended and its end is decided with the next one's start
@@ -153,11 +150,8 @@ TRAVELS = 0.5
 EVENT_WIDTH = 8
 """A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
 
-MOST_CLUSTERS = 256
-LONGEST_EXEMPLARS = 24
-"""At most MOST_CLUSTERS exemplars are kept, and no more of their frames than LONGEST_EXEMPLARS of LAG frames have."""
-RING = 32
-"""The ring that holds them, in LAG frames: a third longer, so that few have to be moved on when it goes round."""
+MOST_CLUSTERS = 32
+"""At most so many exemplars are kept."""
 
 NEVER_KNOWN = -(1 << 60)
 
@@ -177,12 +171,9 @@ class Remembered(Numbers):
     cost       (2, max_lag + 1)    of the best path that ends at each column of the exemplar, of the frame before and of this one
     begin      (2, max_lag + 1)    the frame where that path starts
     scratch    (max_lag + 1,)      distances of a frame to the exemplar's
-    exemplars  (features, RING max_lag)  frames of exemplars, by the number with which they were entered, modulo the ring
-    owners     (RING max_lag,)     the slot of each, unless it has left since or was moved on
-    lookup, lookup_books           these frames in an index: the two arrays of operators/neighbours
+    exemplars  (slots, features, max_lag)  frames of exemplars
     cluster_numbers  (slots,)      by slot: the cluster's number; -1: free
-    exemplar_sizes, _uses, _starts, _whole  (slots,)  its exemplar's length, last use, the number of its first frame, whether all its
-                                   features are known
+    exemplar_sizes, exemplar_uses  (slots,)  its exemplar's length and last use
     mirrored   (ring, features)    mirror images of frames, by number modulo ring; NaN: not known. (0, features) where there are no images
     firsts     (features,)         1: the first of a pair that changes places in the mirror
     leads      (slots,)            how much more the firsts have moved in the first steps of a cluster's cycles than in the second ones
@@ -207,14 +198,9 @@ class Remembered(Numbers):
     begin: Times
     scratch: Samples
     exemplars: Samples
-    owners: Times
-    lookup: Floats
-    lookup_books: Times
     cluster_numbers: Times
     exemplar_sizes: Times
     exemplar_uses: Times
-    exemplar_starts: Times
-    exemplar_whole: Array
     mirrored: Samples
     firsts: Times
     leads: Samples
@@ -259,7 +245,6 @@ def allocate(
     lag = frames["max_lag"]
     ring = max(frames["window"], 5 * lag + frames["firm"] + 64)
     rows = 3 * lag + frames["firm"] + 64
-    index = index_of(width, RING * lag, 0)
     made = Remembered(
         numbers=np.zeros((), NUMBERS),
         frames=np.zeros((width, 2 * ring)),
@@ -272,15 +257,10 @@ def allocate(
         cost=np.full((2, lag + 1), np.inf),
         begin=np.full((2, lag + 1), -1, np.int64),
         scratch=np.zeros(lag + 1),
-        exemplars=np.zeros((width, RING * lag)),
-        owners=np.zeros(RING * lag, np.int64),
-        lookup=index.floats,
-        lookup_books=index.books,
+        exemplars=np.zeros((MOST_CLUSTERS, width, lag)),
         cluster_numbers=np.full(MOST_CLUSTERS, -1, np.int64),
         exemplar_sizes=np.zeros(MOST_CLUSTERS, np.int64),
         exemplar_uses=np.zeros(MOST_CLUSTERS, np.int64),
-        exemplar_starts=np.zeros(MOST_CLUSTERS, np.int64),
-        exemplar_whole=np.zeros(MOST_CLUSTERS, np.bool_),
         mirrored=np.full((0 if firsts is None else ring, width), np.nan),
         firsts=np.zeros(width, np.int64) if firsts is None else firsts,
         leads=np.zeros(MOST_CLUSTERS),
