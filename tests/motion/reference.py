@@ -15,8 +15,9 @@ import numpy as np
 Event = tuple[Any, ...]
 KNOWN, SHARED, FAR, CALM, LEAST, STILL, NOISE, TRAVELS = 2, 4, 100.0, 3.0, 0.02, 0.12, 1.5, 0.5
 SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
-DIP, RETURNS, SEEN, LEAVES, GAIN, HOLDS, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 0.8, 1.25, 64, 32
+DIP, RETURNS, SEEN, LEAVES, GAIN, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 1.25, 64, 32
 CHANCE = 0.7
+RISES = 2
 STANDS, EXTENT, HOME, LIKE_IT, MOST = 0.75, 2.0, 0.4, 0.5, 128
 
 
@@ -370,7 +371,7 @@ class Reference:
                 if not self.foresee(self.grown(), t, grown=True):
                     self.foresee(self.noticed, t)
                 self.watch_returns(t)
-            if t - self.last >= p["quiet"] and not self.under_way(t):
+            if t - self.last >= p["quiet"]:
                 self.finish(False)
         else:
             self.watch_returns(t)
@@ -560,7 +561,7 @@ class Reference:
 
     def foresee(self, first: int, t: int, *, grown: bool = False) -> bool:
         """Before anything is decided of an activity that began about frame `first`: its repetitions, if it has a cycle by now."""
-        length, _ = self.first_dip(self.means(first, t), last_chance=False)
+        length, _ = self.first_dip(self.means(first, t), RISES)
         if length:
             while first + 2 * length <= t and self.strays(first, length):
                 first += length
@@ -589,23 +590,11 @@ class Reference:
                 self.foresee(self.noticed, t)
         elif self.count and q.best is None:
             first = max(self.latest + 1, self.origin)
-            length = self.first_dip(self.means(first, t), last_chance=False)[0] if t - first >= len(q.frames) else 0
+            length = self.first_dip(self.means(first, t), RISES)[0] if t - first >= len(q.frames) else 0
             for k in range(self.ahead, (t - first + 1) // length if length else 0):
                 self.tell_span(first + k * length, first + (k + 1) * length - 1, self.activity + 1, k + 1)
                 self.tell_count(self.activity + 1, k + 1)
                 self.ahead = k + 1
-
-    def expect(self, i: int) -> None:
-        """The cycle that was given up is looked for all the same, for belief alone."""
-        q = self.given_up
-        fresh = q.best is None
-        if self.track(q, i):
-            q.release()
-        elif fresh and q.best:
-            number = self.believed + (not self.is_last_return(q))
-            self.tell_span(q.best[1], q.best[2], self.activity, number)
-            self.believe_open(number)
-            self.foreseen = max(self.foreseen, q.best[2])
 
     def counts(self) -> bool:
         """Motion that does not come back is no activity, unless there were repetitions within a window."""
@@ -691,16 +680,6 @@ class Reference:
                 best, cut = total, i + 1
         return cut
 
-    def under_way(self, t: int) -> bool:
-        q = self.paths
-        if q is None or not self.count:
-            return False
-        return any(
-            0 <= q.begin[c] <= self.last + q.slack
-            and q.cost[c] <= (HOLDS - GAIN) * self.radius * (t - q.begin[c] + c + 2)
-            for c in range(len(q.frames) // 3, len(q.frames))
-        )
-
     def finish(self, forced: bool) -> None:
         if self.paths is None and not self.reported:
             length = self.cycle_length(self.done, last_chance=True)
@@ -764,8 +743,6 @@ class Reference:
         length = self.cycle_length(i)
         if length:
             self.take_up(i, length)
-        elif self.reported and self.count:
-            self.expect(i)
 
     def take_up(self, i: int, length: int) -> None:
         origin = max(self.origin, i + 1 - 2 * length)
@@ -802,7 +779,7 @@ class Reference:
                 self.pursue(j)
 
     def cycle_length(self, i: int, *, last_chance: bool = False) -> int:
-        length, returned = self.first_dip(self.means(self.origin, i), last_chance=last_chance)
+        length, returned = self.first_dip(self.means(self.origin, i), 0 if last_chance else self.p["max_lag"])
         self.returned = self.returned or returned
         return length
 
@@ -818,7 +795,7 @@ class Reference:
             means[k] = float(np.where(np.isinf(far), FAR * self.radius, far).mean())
         return means
 
-    def first_dip(self, means: dict[int, float], *, last_chance: bool) -> tuple[int, bool]:
+    def first_dip(self, means: dict[int, float], later: int) -> tuple[int, bool]:
         largest, returned = 0.0, False
         for k in means:
             if (
@@ -830,7 +807,7 @@ class Reference:
                 returned = True
                 wide = max(2, k // 5)
                 if means[k] < DIP * largest and means[k] <= self.radius:
-                    if k + wide not in means and not last_chance:
+                    if k + min(wide, later) not in means:
                         return 0, True
                     if all(means.get(j, np.inf) >= means[k] for j in range(k - wide, k + wide + 1)):
                         return k, True
@@ -920,7 +897,7 @@ class Reference:
                 self.settle(self.pending[1])
             self.close_bout()
         if i - since > q.slack + 2 * len(q.frames) + q.patience and q.best is None:
-            self.given_up, self.paths, self.origin = q, None, max(self.pieces, i - self.p["max_lag"])
+            self.paths, self.origin = None, max(self.pieces, i - self.p["max_lag"])
 
     def accept(self) -> None:
         q = self.paths

@@ -23,7 +23,7 @@ from kinegraph.operators.segmentation.kernels.layout import (
     Memory,
 )
 from kinegraph.operators.segmentation.kernels.provisional import conclude, foresee, give_up, keep_count, look_ahead
-from kinegraph.operators.segmentation.kernels.repetitions import accept, explore, search_from, take_up, under_way
+from kinegraph.operators.segmentation.kernels.repetitions import accept, explore, search_from, take_up
 from kinegraph.operators.segmentation.kernels.rest import (
     at_rest,
     choose_peak,
@@ -139,7 +139,7 @@ def step(s: Memory, t: int) -> None:
             if not foresee(s, grown(s), t, True):
                 foresee(s, s.noticed, t, False)
             watch_returns(s, t)
-        if t - s.last >= s.quiet and not under_way(s, t):
+        if t - s.last >= s.quiet:
             finish(s, False)
     else:
         watch_returns(s, t)

@@ -62,7 +62,7 @@ def cycle_length(s: Memory, i: int, last_chance: bool) -> int:
     last = longest_lag(s, i - s.origin + 1)
     for k in range(1, last + 1):
         s.scratch[k] = last_cycle(s, i, k)
-    length, returned = first_dip(s, last, last_chance)
+    length, returned = first_dip(s, last, 0 if last_chance else last)
     if returned:
         s.has_returned = True
     return length
@@ -80,11 +80,11 @@ def longest_lag(s: Memory, seen: int) -> int:
 
 
 @kernel
-def first_dip(s: Memory, last: int, last_chance: bool) -> tuple[int, bool]:
+def first_dip(s: Memory, last: int, later: int) -> tuple[int, bool]:
     """The shortest lag at which frames come back to themselves (as YIN finds a pitch, on distances; 0: none), and whether they do at all.
 
-    Mean distances at the lags 1..last are in `scratch`. The lag must be the lowest among those about as long; at its `last_chance`, among
-    those that there are.
+    Mean distances at the lags 1..last are in `scratch`. The lag must be the lowest among those about as long, of which as many that are
+    longer must be known, but no more than `later`.
     """
     largest, returned, radius, means = 0.0, False, s.radius, s.scratch
     for k in range(1, last + 1):
@@ -93,7 +93,7 @@ def first_dip(s: Memory, last: int, last_chance: bool) -> tuple[int, bool]:
             returned = True
             wide = max(2, k // 5)
             lowest = mean < DIP * largest and mean <= radius
-            if lowest and k + wide > last and not last_chance:
+            if lowest and k + min(wide, later) > last:
                 return 0, True
             for j in range(k - wide, min(k + wide, last) + 1):
                 lowest = lowest and means[j] >= mean

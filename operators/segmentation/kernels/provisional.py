@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 
 from kinegraph.operators.segmentation.kernels.corrections import tell_count, tell_span
-from kinegraph.operators.segmentation.kernels.cycles import FAR, TRUSTS, first_dip, longest_lag, release, track
+from kinegraph.operators.segmentation.kernels.cycles import FAR, TRUSTS, first_dip, longest_lag
 from kinegraph.operators.segmentation.kernels.division import number_of
 from kinegraph.operators.segmentation.kernels.events import stamp
 from kinegraph.operators.segmentation.kernels.layout import (
     Memory,
 )
 from kinegraph.stream.kernel import kernel
+
+RISES = 2
+"""A cycle is believed as soon as frames lie farther apart at so many longer lags."""
 
 
 @kernel
@@ -65,19 +68,6 @@ def believe_open(s: Memory, count: int) -> None:
         tell_count(s, s.activity + 1, 0)
         s.ahead = 0
     believe(s, s.activity, count)
-
-
-@kernel
-def expect(s: Memory, i: int) -> None:
-    """Frame `i` after the open activity's cycle was given up: where that comes again it is believed, though not yet followed."""
-    fresh = s.best_end
-    if track(s, i):
-        release(s)
-    elif fresh < 0 and s.best_end >= 0:
-        number = s.believed + (not is_last_return(s))
-        tell_span(s, stamp(s, s.best_start), stamp(s, s.best_end), s.activity, number)
-        believe_open(s, number)
-        s.foreseen = max(s.foreseen, s.best_end)
 
 
 @kernel
@@ -139,7 +129,7 @@ def cycle_by(s: Memory, first: int, t: int) -> int:
             far = s.rows[i % s.rows.shape[0], k]
             total += far if far < math.inf else FAR * s.radius
         s.scratch[k] = total / n
-    return first_dip(s, last, False)[0]
+    return first_dip(s, last, RISES)[0]
 
 
 @kernel

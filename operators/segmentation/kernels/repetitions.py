@@ -7,7 +7,6 @@ from kinegraph.operators.segmentation.kernels.bouts import close_bout, part
 from kinegraph.operators.segmentation.kernels.clusters import keep, recognise, use
 from kinegraph.operators.segmentation.kernels.corrections import forget_returns, tell_span
 from kinegraph.operators.segmentation.kernels.cycles import (
-    GAIN,
     LONGEST,
     begin_tracking,
     cycle_length,
@@ -23,7 +22,7 @@ from kinegraph.operators.segmentation.kernels.final import how, piece, settle, t
 from kinegraph.operators.segmentation.kernels.layout import (
     Memory,
 )
-from kinegraph.operators.segmentation.kernels.provisional import conclude, expect, is_last_return, replaces
+from kinegraph.operators.segmentation.kernels.provisional import conclude, is_last_return, replaces
 from kinegraph.operators.segmentation.kernels.rest import reported_at_rest
 from kinegraph.stream.kernel import kernel
 
@@ -44,8 +43,6 @@ def explore(s: Memory, i: int) -> None:
     length = cycle_length(s, i, False)
     if length:
         take_up(s, i, length)
-    elif s.is_start_final and s.count:
-        expect(s, i)
 
 
 @kernel
@@ -182,24 +179,3 @@ def after_rest(s: Memory, start: int) -> int:
         s.pieces_from += 1
         s.pieces_at = s.times[s.pieces_from % s.times.shape[0]]
     return int(first)
-
-
-@kernel
-def under_way(s: Memory, t: int) -> bool:
-    """Whether frame `t` still runs along the cycle: a path beyond its first third lies within the radius on the way."""
-    if not s.is_tracking or not s.count:
-        return False
-    radius = s.radius
-    for c in range(s.length // 3, s.length):
-        start = s.begin[0, c]
-        if (
-            start >= 0
-            and start <= s.last + slack(s.length)
-            and s.cost[0, c] <= (HOLDS - GAIN) * radius * (t - start + c + 2)
-        ):
-            return True
-    return False
-
-
-HOLDS = 0.8
-"""A path under way keeps an activity open while its mean distance is at most this share of the radius."""
