@@ -304,7 +304,7 @@ def simulated() -> Iterator[Any]:
             yield pytest.param(path, id=path.stem, marks=[] if is_new else pytest.mark.nightly)
 
 
-@pytest.mark.parametrize("config", simulated())
+@pytest.mark.parametrize("config", list(simulated()))
 def test_a_config_runs_without_hardware(
     config: Path, kinegraph: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
