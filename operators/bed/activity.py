@@ -125,7 +125,12 @@ class Activity(Operator[ActivityState]):
     ((600, 2), ('right', 'unknown', 0.0))
     """
 
-    inputs = {"view": Input(optional=True), "bed": Input(optional=True), "far": Input(optional=True), "motion": Input()}
+    inputs = {
+        "view": Input(optional=True),
+        "bed": Input(optional=True),
+        "far": Input(optional=True),
+        "motion": Input(trigger=True),
+    }
     outputs: ClassVar[tuple[str, ...]] = ("out", "epochs")
 
     epoch_s: float = param(

@@ -26,11 +26,13 @@ def gather(blocks: Samples, size: int, sums: Samples, counts: Samples) -> None:
     """Take a frame's blocks (rows, columns) into the cells' `sums` and `counts` (cells,); cells of `size` x `size` blocks, row by row."""
     across = -(-blocks.shape[1] // size)
     for r in range(blocks.shape[0]):
-        for c in range(blocks.shape[1]):
-            if abs(blocks[r, c]) < math.inf:
-                cell = r // size * across + c // size
-                sums[cell] += blocks[r, c]
-                counts[cell] += 1.0
+        row = r // size * across
+        for k in range(size):  # a column of every cell, for these are done in vectors
+            for c in range((blocks.shape[1] - k + size - 1) // size):
+                depth = blocks[r, c * size + k]
+                measured = abs(depth) < math.inf
+                sums[row + c] = sums[row + c] + depth if measured else sums[row + c]
+                counts[row + c] += 1.0 if measured else 0.0
 
 
 @kernel

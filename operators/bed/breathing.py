@@ -105,7 +105,7 @@ class Breathing(Operator[BreathingState]):
     (['a', 'b'], array([ nan,  nan, 15.4,  nan]))
     """
 
-    inputs = {"regions": Input(), "bed": Input(optional=True), "blocks": Input()}
+    inputs = {"regions": Input(), "bed": Input(optional=True), "blocks": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("out", "wave")
 
     epoch_s: float = param(30.0, least=10.0, most=300.0, help="length of an epoch, at whole multiples since 1970")

@@ -62,7 +62,7 @@ class Presence(Operator[PresenceState]):
     ((300, 6, 8), [('a', 'out'), ('b', 'out')])
     """
 
-    inputs = {"view": Input(optional=True), "regions": Input(), "blocks": Input()}
+    inputs = {"view": Input(optional=True), "regions": Input(), "blocks": Input(trigger=True)}
     outputs: ClassVar[tuple[str, ...]] = ("out", "height")
 
     rise_mm: float = param(80.0, above=0.0, help="how far above the empty bed a body is")

@@ -18,7 +18,8 @@ class Input:
     rows      numbers come as C-contiguous float64 (n, width), whatever the dtype and shape of a sample was
     finite    numbers come as rows, in which NaN stands for what is not a finite number
     trigger   its samples trigger output: at equal stamps they come after all others; several triggers come in their declared order.
-              No answer depends on the order of the other ports (the law "ties")
+              No answer depends on the order of the other ports (the law "ties"). Where an operator has triggers, empty chunks, which
+              say that time has passed, come on these alone until the streams end
     optional  a graph may leave it unconnected
     revises   its events revise earlier reports, and delay nothing: `check` leaves their own delay out
     in_turn   its chunks are cut wherever another input's sample is due, so that samples come in global time order. Off, for operators that

@@ -152,3 +152,15 @@ def test_a_gap_told_by_an_empty_chunk_reaches_the_next_sample() -> None:
 def test_a_port_that_does_not_exist_is_refused() -> None:
     with pytest.raises(KeyError):
         Merge({"a": SPEC, "b": SPEC}).push("c", empty(SPEC, 0))
+
+
+def test_time_without_samples_passes_on_triggers_alone_until_the_end() -> None:
+    """A call for every port would be one for all that is behind the operator, too."""
+    merge = Merge({"a": SPEC, "b": SPEC, "c": SPEC}, {"b": Input(trigger=True), ANY: Input()})
+    for until, ports in ((5, ["b"]), (9, ["b"]), (FOREVER, ["a", "c", "b"])):
+        pieces = [piece for port in "abc" for piece in merge.push(port, empty(SPEC, until))]
+        assert [(port, len(piece), piece.until) for port, piece in pieces] == [(port, 0, until) for port in ports]
+    sampled = Merge({"a": SPEC, "b": SPEC}, {"b": Input(trigger=True), ANY: Input()})
+    sampled.push("a", empty(SPEC, 7))
+    pieces = sampled.push("b", Chunk(np.array([7]), np.zeros((1, 1)), 7))
+    assert [(port, len(piece), piece.until) for port, piece in pieces] == [("b", 1, 7)]

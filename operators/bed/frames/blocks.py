@@ -28,77 +28,72 @@ def measure(frame: Frame, b: int, needed: int, levels: Samples) -> None:
 
     NaN, where less than `needed` pixels are measured; how far: from the block's middle, in pixels, on average.
     """
-    w = levels.shape[2] * b
-    sums = np.empty((3, w), np.int32)
+    columns, middle = levels.shape[2], 0.5 * (b - 1)
+    sums, there = np.empty(columns * b, np.uint32), np.empty(columns * b, np.uint16)
+    blocks, marks = sums.reshape(columns, b), there.reshape(columns, b)
     for r in range(levels.shape[1]):
         sums[:] = 0
+        there[:] = 0
         for j in range(b):
-            for x in range(w):
-                there = np.int32(frame[r * b + j, x] != 0)
-                sums[0, x] += frame[r * b + j, x]
-                sums[1, x] += there
-                sums[2, x] += there * np.int32(j)
-        for q in range(levels.shape[2]):
-            total, count, down, right = 0, 0, 0, 0
-            for x in range(q * b, q * b + b):
-                total += sums[0, x]
-                count += sums[1, x]
-                down += sums[2, x]
-                right += sums[1, x] * (x - q * b)
+            # how many, in 9 bits, and above them the sum of how far down: at most 16 pixels, of which the last is 15 down
+            mark = np.uint16(1 + 512 * j)
+            for x in range(columns * b):
+                p = frame[r * b + j, x]
+                sums[x] += p
+                there[x] += mark if p != 0 else np.uint16(0)
+        for q in range(columns):
+            total, both, right = np.uint32(0), np.uint32(0), np.uint32(0)
+            for k in range(b):
+                total = np.uint32(total + blocks[q, k])
+                both = np.uint32(both + marks[q, k])
+                right = np.uint32(right + np.uint32(marks[q, k] & np.uint16(511)) * np.uint32(k))
+            count, down = np.int32(both & np.uint32(511)), np.int32(both >> np.uint32(9))
             enough = count >= needed
-            levels[0, r, q] = total / count if enough else math.nan
-            levels[1, r, q] = down / count - 0.5 * (b - 1) if enough else 0.0
-            levels[2, r, q] = right / count - 0.5 * (b - 1) if enough else 0.0
+            levels[0, r, q] = np.int32(total) / count if enough else math.nan
+            levels[1, r, q] = down / count - middle if enough else 0.0
+            levels[2, r, q] = np.int32(right) / count - middle if enough else 0.0
 
 
 @kernel
-def levelled(levels: Samples, by: Samples, b: int, r: int, q: int) -> float:
-    """The level at the middle of a block of `levels` (3, rows, columns), as `measure` has them, with the slopes of `by` (rows, columns)."""
-    down, right = slope(by, r, q, 1, 0), slope(by, r, q, 0, 1)
-    level: float = levels[0, r, q] - (down * levels[1, r, q] + right * levels[2, r, q]) / b
-    return level
+def middles(levels: Samples, by: Samples, b: int, out: Samples) -> None:
+    """The levels at the middles of blocks, into `out` (rows, columns), of `levels` (3, rows, columns) as `measure` has them.
+
+    by   (rows + 2, columns + 2)  levels of which slopes are taken, with NaN around
+    """
+    for r in range(out.shape[0]):
+        for q in range(out.shape[1]):
+            here = by[r + 1, q + 1]
+            down = slope(here - by[r, q + 1], by[r + 2, q + 1] - here)
+            right = slope(here - by[r + 1, q], by[r + 1, q + 2] - here)
+            out[r, q] = levels[0, r, q] - (down * levels[1, r, q] + right * levels[2, r, q]) / b
 
 
 @kernel
-def slope(level: Samples, r: int, q: int, down: int, right: int) -> float:
-    """How much `level` (rows, columns) rises per block about one block; 0 at an edge, and where no neighbour is measured."""
-    rows, columns = level.shape
-    one = level[r, q] - level[r - down, q - right] if r >= down and q >= right else math.nan
-    two = level[r + down, q + right] - level[r, q] if r + down < rows and q + right < columns else math.nan
-    # NaN, which differs from itself: there is no neighbour on that side, or it is not measured
-    if one != one or two != two:
-        only = two if one != one else one
-        return only if abs(only) < EDGE_MM else 0.0
-    if not one * two > 0.0:
-        return 0.0
-    return 2.0 * one * two / (one + two)  # no jump where an edge comes near: at most twice the smaller one
+def slope(one: float, two: float) -> float:
+    """How much depth rises per block about a block, from the steps to it and from it; 0 at an edge, and where no neighbour is measured.
+
+    A step is NaN where there is no neighbour on that side, or it is not measured. Both answers are made, so that rows are done in vectors.
+    """
+    both = one * two
+    # no jump where an edge comes near: at most twice the smaller one
+    level = 2.0 * one * two / (one + two) if both > 0.0 else 0.0
+    only = two if one != one else one
+    return level if both == both else only if abs(only) < EDGE_MM else 0.0
 
 
 @kernel(nogil=True)
-def flatten(frame: Frame, level: Samples, weight: float, centre: float, shift: Single, out: Frame) -> None:
-    """What `simplify` makes of `frame` with one flat vector of this `weight`: one number a block, in the same order of sums."""
-    b, w = frame.shape[0] // level.shape[0], frame.shape[1]
-    means, sums, line = np.empty(w, np.float32), np.empty(w, np.float32), np.empty(w, np.uint16)
+def flatten(level: Samples, out: Frame) -> None:
+    """Every block of `out` (h, w) as its `level` (h/b, w/b) in whole mm; 0 where that is NaN."""
+    b = out.shape[0] // level.shape[0]
+    line = np.empty(out.shape[1], np.uint16)
     for r in range(level.shape[0]):
         for q in range(level.shape[1]):
             mean = level[r, q]
-            for x in range(q * b, q * b + b):
-                means[x] = np.float32(mean) if mean == mean else np.float32(0.0)
-                sums[x] = np.float32(0.0)
-        for j in range(b):
-            for x in range(w):
-                p = frame[r * b + j, x]
-                sums[x] += (np.float32(p) - means[x] if p != 0 else np.float32(0.0)) * weight
-        for q in range(level.shape[1]):
-            c = means[q * b] * shift[0] - shift[1]
-            for x in range(q * b, q * b + b):
-                c += sums[x]
-            v = min(max(centre + np.float32(0.5) + c * weight, np.float32(1.0)), np.float32(65535.0))
-            value = np.uint16(np.int32(v)) if means[q * b] > np.float32(0.0) else np.uint16(0)
+            value = np.uint16(np.int32(min(mean + 0.5, 65535.0))) if mean == mean else np.uint16(0)
             for x in range(q * b, q * b + b):
                 line[x] = value
         for j in range(b):
-            for x in range(w):
+            for x in range(out.shape[1]):
                 out[r * b + j, x] = line[x]
 
 
@@ -124,15 +119,13 @@ def simplify(
     m, b, w = tiles.shape
     levels = np.empty((3, frame.shape[0] // b, w // b))
     measure(frame, b, needed, levels)
-    first = np.empty_like(means)
-    for r in range(means.shape[0]):
-        for q in range(means.shape[1]):
-            first[r, q] = levelled(levels, levels[0], b, r, q)
-    for r in range(means.shape[0]):
-        for q in range(means.shape[1]):
-            means[r, q] = levelled(levels, first, b, r, q)  # slopes of levels that tremble less
+    by = np.full((means.shape[0] + 2, means.shape[1] + 2), math.nan)
+    by[1:-1, 1:-1] = levels[0]
+    middles(levels, by, b, means)
+    by[1:-1, 1:-1] = means
+    middles(levels, by, b, means)  # slopes of levels that tremble less
     if m == 1:
-        flatten(frame, levels[0], tiles[0, 0, 0], centre[0, 0], shift[0], out)
+        flatten(levels[0], out)
         return
     rows = np.empty((b + 1 + m, w), np.float32)
     for r in range(frame.shape[0] // b):

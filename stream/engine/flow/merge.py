@@ -22,6 +22,7 @@ class Merge:
     """
 
     __slots__ = (
+        "_clocked",
         "_empty",
         "_in_turn",
         "_index",
@@ -43,6 +44,8 @@ class Merge:
         self._index = {port: i for i, port in enumerate(self._ports)}
         self._empty = [empty(specs[port], NEVER) for port in self._ports]
         n = len(specs)
+        self._clocked = range(n - len(triggers) if triggers else 0, n)
+        """The ports on which time passes without samples: every one more costs a call of the operator, and of all behind it."""
         self._pending: list[deque[Chunk]] = [deque() for _ in range(n)]
         self._start = [0] * n
         """How many samples of each port's first pending chunk have gone out."""
@@ -55,7 +58,7 @@ class Merge:
         self._lost = [0] * n
 
     def push(self, port: str, chunk: Chunk) -> list[tuple[str, Chunk]]:
-        """Take a chunk; gives (port, piece) for everything that is now certain, then the time that has passed on each port."""
+        """Take a chunk; gives (port, piece) for everything that is now certain, then the time that has passed."""
         i = self._index[port]
         if len(chunk.time):
             self._append(i, chunk)
@@ -68,8 +71,8 @@ class Merge:
         while (earliest := min(self._next)) <= frontier and earliest != FOREVER:
             first = self._next.index(earliest)
             pieces.append((self._ports[first], self._take(first, frontier)))
-        for j, promised in enumerate(self._promised):
-            if promised < frontier:
+        for j in self._clocked if frontier < FOREVER else range(len(self._ports)):
+            if self._promised[j] < frontier:
                 self._promised[j] = frontier
                 nothing = self._empty[j]
                 pieces.append((self._ports[j], Chunk(nothing.time, nothing.data, frontier)))
