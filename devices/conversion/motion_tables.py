@@ -17,6 +17,7 @@ from kinegraph.stream.domain.axes import BODY, USUAL_FORWARD, Axes
 from kinegraph.stream.errors import RecordingError
 from kinegraph.stream.system.atomic_file import complete, private_folder
 from kinegraph.stream.system.extras import optional
+from kinegraph.stream.text.safe_text import say
 
 MAX_FRAMES = 65_535
 MAX_EVENTS = 255
@@ -88,18 +89,27 @@ def _with_angles(
     joints = list(dict.fromkeys(label.rpartition(".")[0] for grid in angles for label in grid.stream.labels))
     added = np.zeros((len(points), len(joints), 3))
     for grid in angles:
-        shift = round((grid.start - start) * grid.rate_hz / NS)
-        into = slice(max(0, shift), min(len(points), shift + len(grid.data)))
+        into, of = _overlap(grid, start, len(points))
         for k, label in enumerate(grid.stream.labels):
             joint, _, angle = label.rpartition(".")
             part = added[:, joints.index(joint), PLANES[angle]]
             part[:] = np.nan
-            part[into] = grid.data[into.start - shift : into.stop - shift, k]
+            part[into] = grid.data[of, k]
     names = [f"{joint}Angles" for joint in joints]
     made.add_parameter("POINT", "ANGLES", names)
     made.add_parameter("POINT", "ANGLE_UNITS", ["deg"])
     made["parameters"]["POINT"]["LABELS"]["value"] = [*labels, *names]
     return np.concatenate([points, added], axis=1), [*labels, *names]
+
+
+def _overlap(grid: GriddedStream, start: int, count: int) -> tuple[slice, slice]:
+    """The samples of `count` from `start` on that the grid has, and where it has them; both are empty if it has none of them."""
+    shift = round((grid.start - start) * grid.rate_hz / NS)
+    first = min(max(0, shift), count)
+    end = max(first, min(count, shift + len(grid.data)))
+    if end == first:
+        say(f"{grid.stream.name}: no sample is within the time of the file's frames; the file holds no value of it")
+    return slice(first, end), slice(first - shift, end - shift)
 
 
 def _no_points(signals: list[GriddedStream]) -> tuple[float, int, Samples]:
@@ -124,11 +134,9 @@ def _analogs(made: object, signals: list[GriddedStream], frame_rate: float, star
     labels: list[str] = []
     units: list[str] = []
     for grid in signals:
-        one, values = grid.stream, grid.data
-        shift = round((grid.start - start) * grid.rate_hz / NS)
-        into = slice(max(0, shift), min(data.shape[2], shift + len(values)))
-        part = np.nan_to_num(values[into.start - shift : into.stop - shift]).T
-        data[0, len(labels) : len(labels) + len(one.labels), into] = part
+        one = grid.stream
+        into, of = _overlap(grid, start, data.shape[2])
+        data[0, len(labels) : len(labels) + len(one.labels), into] = np.nan_to_num(grid.data[of]).T
         labels += one.labels
         units += [one.spec.units[0]] * len(one.labels) if len(one.spec.units) == 1 else list(one.spec.units)
     parameters = made["parameters"]["ANALOG"]  # type: ignore[index]

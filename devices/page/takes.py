@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 FOLDER = "takes"
 MAX_SAMPLES = 60_000
-"""A take of more poses is ended: it is held in memory."""
+"""Of each stream a take keeps this many: it is held in memory."""
 MAX_NAME = 64
 SUFFIXES = (".vrma", ".glb", ".bvh")
 
@@ -46,7 +47,7 @@ class Takes:
                 self._choose([name for name in panel["of"] if name in specs], specs)
         self._called = ""
         self._kept: dict[str, list[Chunk]] = {}
-        self._count = 0
+        self._counts = Counter[str]()
 
     def _choose(self, names: Sequence[str], specs: Mapping[str, StreamSpec]) -> None:
         for name in names:
@@ -69,13 +70,13 @@ class Takes:
 
     def _keep(self, name: str, chunk: Chunk) -> None:
         """In the graph's thread: arrays that are emitted are never written again."""
-        if self._called and len(chunk.time) and self._count < MAX_SAMPLES:
+        if self._called and len(chunk.time) and self._counts[name] < MAX_SAMPLES:
             self._kept.setdefault(name, []).append(chunk)
-            self._count += len(chunk.time) if name == self.name else 0
+            self._counts[name] += len(chunk.time)
 
     def begin(self, called: str) -> str:
         """Begin a take, and end the one that runs; returns its name."""
-        self._kept, self._count = {}, 0
+        self._kept, self._counts = {}, Counter()
         self._called = re.sub(r"[^\w.-]+", "_", called.strip())[:MAX_NAME].strip("._") or "take"
         return self._called
 

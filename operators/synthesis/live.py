@@ -76,7 +76,7 @@ class LiveWalk(_Walking):
     """Poses of somebody who moves in; out comes a walk along a path: any frame may follow any other one that is like it.
 
     pose        (in) a humanoid pose; kept for `memory_s`   (out) the walk, a pose for each that comes in; until there is a frame to
-                enter, the pose that came in
+                enter, the pose that came in; where a take has ended and no frame is left to enter, the pose is held
     node        events with onset and end (operators.maps.motion_graph.growing.GrowingGraph): only frames of these stretches are entered;
                 left out: every frame, a second after it came
     transition  an event for each: which frame was entered, how old it was, and where
@@ -193,25 +193,41 @@ class LiveWalk(_Walking):
         s.frames[(index.newest + 1 + np.arange(end - first)) % len(s.frames)] = np.arange(first, end)
         index.follow(s.motion.features(first, end, self.way[1]), 0)
 
+    @property
+    def _oldest(self) -> int:
+        """Frames from this one on are kept for long enough yet to be entered."""
+        return self.state.motion.count - len(self.state.stamps) + round((1.0 + PLAYED_S) * self.way[1])
+
     def _nearest(self, features: Samples) -> int:
-        """The nearest frame that is kept for long enough yet."""
+        """The nearest frame that is kept for long enough yet; the newest one where those that are nearest have left."""
         s = self.state
-        oldest = s.motion.count - len(s.stamps) + round((1.0 + PLAYED_S) * self.way[1])
         for number in Index.of(s.index).nearest(ASKED, features, band=-1)[0].tolist():
-            if s.frames[number % len(s.frames)] >= oldest:
+            if s.frames[number % len(s.frames)] >= self._oldest:
                 return int(s.frames[number % len(s.frames)])
-        return -1
+        return self._newest()
+
+    def _newest(self) -> int:
+        """The newest frame that can be entered; -1: there is no such frame."""
+        s, index = self.state, Index.of(self.state.index)
+        frames = s.frames[np.arange(index.first, index.newest + 1) % len(s.frames)]
+        frames = frames[frames >= self._oldest]
+        last = s.motion.last[frames % len(s.stamps)]
+        follows = s.motion.last[(frames - 2) % len(s.stamps)] == last
+        return int(frames[follows & (last - frames >= PLAYED_S * self.way[1])].max(initial=-1))
 
     def _walk(self, came: Samples, out: Samples) -> bool:
         """The next pose of the walk; whether a transition begins with it."""
         s, (tree, rate_hz, path, length, _) = self.state, self.way
         out[:] = came
-        if s.played.frame < 0:
+        waits, left = s.played.frame < 0, s.played.frame <= s.motion.count - len(s.stamps)
+        if waits or left:  # left: the frame that is held, because no frame could follow it, is overwritten
+            if not waits:
+                out[:] = s.played.shown[1]
             s.played.show(out)
-            index = Index.of(s.index)
-            if not len(index) or not np.isfinite(s.played.shown).all():
+            newest = self._newest()
+            if newest < 0 or not np.isfinite(s.played.shown).all():
                 return False
-            s.played.enter(s.motion, int(s.frames[index.newest % len(s.frames)]))
+            s.played.enter(s.motion, newest)
             return True
         jumps = s.played.step(s.motion, rate_hz, Ahead(path, length, s.along, self.speed_m_s), self._nearest, out)
         hold_feet(

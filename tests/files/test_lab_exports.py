@@ -134,6 +134,27 @@ def test_c3d(tmp_path: Path, walk: dict[str, Series]) -> None:
         export(tmp_path, "all.c3d")
 
 
+@pytest.mark.parametrize("away_s", [-60, 60])
+def test_what_is_measured_at_another_time_than_the_markers_is_no_fault_of_a_c3d_file(
+    tmp_path: Path, walk: dict[str, Series], away_s: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    angles, emg = (
+        StreamSpec((1,), rate_hz=hz, channels=(name,), units=(unit,))
+        for hz, name, unit in ((100.0, "LKnee.flexion", "deg"), (1000.0, "TA", "uV"))
+    )
+    away = START + away_s * NS
+    made = [
+        walk["markers"],
+        Series("walk.angles", angles, grid(100.0, 200, away), np.full((200, 1), 20.0)),
+        Series("walk.emg", emg, grid(1000.0, 2000, away), np.full((2000, 1), 20.0)),
+    ]
+    write_recording(tmp_path / "apart.mcap", made, {"graph": "", "session": {}})
+    kinegraph("files", "export", tmp_path / "apart.mcap", "-o", tmp_path / "apart.c3d")
+    found = ezc3d.c3d(str(tmp_path / "apart.c3d"))["data"]
+    assert np.isnan(found["points"][0, 3]).all() and not found["analogs"].any()
+    assert capsys.readouterr().out.count("no sample is within the time of the file's frames") == 2
+
+
 def test_joint_angles_are_in_a_c3d_file_as_laboratories_have_them(tmp_path: Path, walk: dict[str, Series]) -> None:
     """One point of three degrees per joint beside the markers, and the feet's events with their leg; rows per channel are no events."""
     names = ("Pelvis.tilt", "LKnee.flexion", "LKnee.adduction", "LKnee.rotation", "LAnkle.flexion", "LAnkle.rotation")

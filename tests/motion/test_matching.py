@@ -71,6 +71,19 @@ def test_only_stretches_of_the_graph_are_entered() -> None:
     assert np.array_equal(walk[:300], poses[:300]), "until then the avatar does what the person does"
 
 
+def test_a_pose_is_held_while_no_frame_is_left_to_enter() -> None:
+    time, poses = walks_about()
+    time, poses = time[:960], poses[:960]
+    stretches = np.array([(time[20], time[90]), (time[800], time[880])], STRETCH)
+    walk, jumps = lived(time, poses, LiveWalk(memory_s=8.0), stretches)
+    gone, back = 20 + 320, np.searchsorted(time, stretches["end"][1] + 2 * NS)
+    assert (jumps["plays"] <= stretches["end"][0]).any()
+    held = walk[gone + 160 : back]
+    assert np.array_equal(held, np.broadcast_to(held[:1], held.shape)), "nothing is played that was never given"
+    assert ((stretches["onset"][1] <= jumps["plays"]) & (jumps["plays"] <= stretches["end"][1] + NS)).any()
+    assert np.abs(np.diff(walk[back - 1 :], axis=0)).max() < 0.3
+
+
 @pytest.mark.parametrize("path", [(), ((0.0, 0.0), (0.0, 0.5))])
 def test_a_path_that_is_too_short_to_walk_is_refused(path: tuple[tuple[float, float], ...]) -> None:
     with pytest.raises(ParameterError, match="a way of 2 m or more"):

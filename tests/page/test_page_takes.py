@@ -76,6 +76,18 @@ def test_a_take_holds_the_hands_and_the_face_of_its_panel(tmp_path: Path) -> Non
     assert "LeftIndexDistal" in (tmp_path / "wave.bvh").read_text()
 
 
+def test_a_take_is_bounded_where_only_hands_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("kinegraph.devices.page.takes.MAX_SAMPLES", 100)
+    spec = StreamSpec((40,), rate_hz=30.0, channels=BENDS, units=("deg",))
+    takes = Takes([{"kind": "avatar", "of": ["pose", "fingers"]}], {"pose": TREE.spec(30.0), "fingers": spec})
+    edges = {name: SimpleNamespace(observers=[]) for name in ("pose", "fingers")}
+    takes.observe(SimpleNamespace(edges=edges))  # type: ignore[arg-type]
+    takes.begin("still")
+    for _ in range(10):
+        edges["fingers"].observers[0](Chunk(grid(30.0, 60), np.zeros((60, 40)), 0))
+    assert sum(len(chunk.time) for chunk in takes._kept["fingers"]) <= 160
+
+
 def test_no_take_is_overwritten_and_an_empty_one_is_refused(live: tuple[Takes, Any], tmp_path: Path) -> None:
     takes, comes = live
     names = []
