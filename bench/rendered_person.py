@@ -51,6 +51,7 @@ class Looks:
     hair: tuple[float, float, float] = (0.07, 0.035, 0.018)
     iris: tuple[float, float, float] = (0.10, 0.16, 0.12)
     shirt: tuple[float, float, float] = (0.05, 0.12, 0.30)
+    trousers: tuple[float, float, float] = (0.03, 0.03, 0.035)
 
 
 PEOPLE = {
@@ -299,7 +300,7 @@ class Person:
 
     def paint(self) -> Paint:
         looks, eyes = self.looks, [self.template[14598:14670].mean(0), self.template[14670:14742].mean(0)]
-        others = [(0.03, 0.03, 0.035), (0.75, 0.70, 0.66), (0.62, 0.58, 0.50), (0.35, 0.10, 0.10)]
+        others = [looks.trousers, (0.75, 0.70, 0.66), (0.62, 0.58, 0.50), (0.35, 0.10, 0.10)]
         return Paint(np.array([looks.hair, looks.iris, looks.shirt, *others]), np.array(eyes))
 
     def rotations(self, turned: Mapping[str, Rotation]) -> tuple[Floats, Floats]:

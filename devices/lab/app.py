@@ -66,6 +66,8 @@ CHECK_COMMANDS = {
     "contacts": ("emg", "check-contacts"),
     "bed": ("sleep", "check"),
 }
+DOWNLOADS = ("pose-model", "camera-models")
+"""What `kinegraph files fetch` brings."""
 MAX_CHECKS = 4
 MOST_UPLOAD = 8 << 30
 
@@ -155,11 +157,20 @@ class Lab:
         if command is None:
             raise KinegraphError(f"there is no check {asked['kind']!r}")
         path = await self._checked_graph(asked)
-        check, name = jobs.Check(), secrets.token_hex(8)
         simulate = ["--simulate"] if asked.get("simulate") else []
-        task = asyncio.create_task(
-            check.run(self.home, *command, str(path.relative_to(self.home)), *simulate, "--json")
-        )
+        return self._begin(*command, str(path.relative_to(self.home)), *simulate, "--json")
+
+    async def post_download(self, request: Request) -> Response:
+        """Begin to download networks that a graph needs: its progress is that of a check."""
+        name = str((await as_request(request))["name"])
+        if name not in DOWNLOADS:
+            raise KinegraphError(f"there is no download {name!r}")
+        return self._begin("files", "fetch", name)
+
+    def _begin(self, *arguments: str) -> Response:
+        """Begin a command that reports how far it is."""
+        check, name = jobs.Check(), secrets.token_hex(8)
+        task = asyncio.create_task(check.run(self.home, *arguments))
         while len(self._checks) >= MAX_CHECKS:
             self._checks.pop(next(iter(self._checks)))[1].cancel()
         self._checks[name] = check, task
@@ -463,6 +474,7 @@ def app_of(home: Path, access: Access) -> ASGIApp:
         post("/api/presets", lab.post_preset),
         post("/api/import", lab.post_import),
         post("/api/checks", lab.post_check),
+        post("/api/downloads", lab.post_download),
         post("/api/look", lab.post_look),
         Route("/api/checks/{id}", lab.get_check),
         post("/api/sessions", lab.post_session),

@@ -32,6 +32,7 @@ CHECKS = {
     "bed": ("operators.bed.",),
 }
 """Checks that are of use before a session, by what the graph holds."""
+BODY_ALONE = "pose-model"
 SIMULATORS = "kinegraph.simulators"
 
 
@@ -53,6 +54,7 @@ def form_of(path: Path) -> dict[str, Any]:
             *(_field(n, *_known(one, top)) for n, one in settings.items() if n != "subject"),
         ],
         "devices": [*_devices(top)],
+        "networks": _networks(top),
         "checks": [name for name, packages in CHECKS.items() if _uses(top, packages)],
     }
 
@@ -62,6 +64,30 @@ def _uses(top: Mapping[str, Located], packages: tuple[str, ...]) -> bool:
     nodes = top["nodes"].items() if "nodes" in top else {}
     used = [str(use.value) for at in nodes.values() if (use := at.items().get("use"))]
     return any(one.startswith(packages) for one in used)
+
+
+def _networks(top: Mapping[str, Located]) -> dict[str, Any]:
+    """The networks that the graph uses and that are not there: what brings them, what they are, their licence, and whether it can
+    do without; {}: all are there.
+    """
+    used = dict[Any, bool]()
+    for at in (top["nodes"].items() if "nodes" in top else {}).values():
+        given = at.items()
+        with suppress(KinegraphError):
+            for one in getattr(find(str(given["use"].value)), "networks", ()) if "use" in given else ():
+                needed = "needed" not in given or bool(given["needed"].plain())
+                used[one] = used.get(one, False) or (needed and "model" not in given)
+    missing = [one for one in used if not one.is_kept()]
+    if not missing:
+        return {}
+    return {
+        "name": next(
+            (one.fetch for one in missing if one.fetch != BODY_ALONE), BODY_ALONE
+        ),  # it brings the body's, too
+        "what": ", ".join(one.what for one in missing),
+        "licence": ", ".join(dict.fromkeys(one.licence for one in missing)),
+        "needed": any(used[one] for one in missing),
+    }
 
 
 def _facts(top: Mapping[str, Located], settings: Mapping[str, GraphSetting]) -> Iterator[dict[str, Any]]:

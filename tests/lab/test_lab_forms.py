@@ -106,3 +106,21 @@ def test_what_can_go_wrong_is_offered_where_a_simulated_source_has_it() -> None:
 )
 def test_what_is_filled_in_for_each_use_is_asked_for(graph: str, asked: set[str]) -> None:
     assert asked <= {*fields(shipped()[graph])}
+
+
+@pytest.mark.parametrize(
+    ("graph", "name", "needed"),
+    [("webcam_avatar", "camera-models", True), ("video_gait", "camera-models", True), ("avatar", "pose-model", False)],
+)
+def test_networks_that_are_not_there_are_offered_with_their_licence(
+    graph: str, name: str, needed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    found = form_of(shipped()[graph])["networks"]
+    assert (found["name"], found["licence"], found["needed"]) == (name, "Apache-2.0", needed)
+    assert "BlazePose" in found["what"]
+
+
+def test_a_use_without_networks_offers_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    assert form_of(shipped()["treadmill_emg"])["networks"] == {}

@@ -6,6 +6,7 @@ import asyncio
 import http.client
 import json
 import re
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -120,6 +121,21 @@ def test_what_is_wrong_is_refused_in_words(client: Client) -> None:
     assert client.ask("GET", "/api/sessions/..%2F..%2Fetc")[0] in (400, 404)
     assert client.ask("GET", "/api/sessions/nothing")[0] == 400
     assert client.ask("POST", "/api/presets", [1])[0] == 400
+
+
+def test_networks_are_downloaded_by_those_who_may(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command itself: tests/avatar/test_fetch.py."""
+    says = "import sys; print('4 of 10 MB', file=sys.stderr); sys.exit(sys.argv[1:] != ['files', 'fetch', 'camera-models'])"
+    monkeypatch.setattr(jobs, "COMMAND", (sys.executable, "-S", "-c", says))
+    wish = {"name": "camera-models"}
+    assert client.ask("POST", "/api/downloads", wish, Origin="http://evil.example")[0] == 403
+    assert client.ask("POST", "/api/downloads", wish, Cookie="")[0] == 403
+    status, body = client.ask("POST", "/api/downloads", {"name": "--package=/etc/passwd"})
+    assert status == 400 and "no download" in body["error"]
+    _, begun = client.ask("POST", "/api/downloads", wish)
+    found = dict[str, Any]()
+    wait(lambda: found.update(client.ask("GET", f"/api/checks/{begun['id']}")[1]) or found["code"] >= 0)
+    assert (found["code"], found["status"]) == (0, "4 of 10 MB\n")
 
 
 def test_where_no_lab_can_be_is_named(kinegraph: Command, tmp_path: Path) -> None:

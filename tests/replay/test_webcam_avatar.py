@@ -15,7 +15,7 @@ import pytest
 import kinegraph as kg
 from bench.demo_clip import frames, moves
 from bench.hands_and_face import blinks, correlation
-from kinegraph.devices.cameras.video.simulator import CLIP
+from kinegraph.devices.cameras.video.simulator import CLIPS
 from kinegraph.devices.cameras.video.source import USUAL_FOCAL
 from kinegraph.devices.people.rendered_performer import FIELD, POINTS, RenderedPerformer
 from kinegraph.operators.body.camera.expressions import EXPRESSIONS
@@ -49,7 +49,7 @@ def graph_of(images: np.ndarray, size: tuple[int, int], focal: float) -> kg.Resu
 @pytest.mark.nightly
 def test_hands_and_eyes_follow_the_shipped_clip() -> None:
     camera_networks_or_skip()
-    moved, made = moves(), graph_of(np.array(frames(CLIP)), (640, 480), USUAL_FOCAL)
+    moved, made = moves(), graph_of(np.array(frames(CLIPS["someone"])), (640, 480), USUAL_FOCAL)
     bends, face = made["fingers"].data.reshape(-1, 2, 5, 4), made["face"].data
     true, found = (x[..., [0, 2, 3]].sum(-1) for x in (moved.bends, bends))
     for finger in range(1, 5):

@@ -15,8 +15,8 @@ from typing import Any
 from kinegraph.devices.cameras.video import container
 from kinegraph.devices.cameras.video.source import Video
 
-CLIP = Path(__file__).with_name("someone.mp4")
-"""A rendered person before a webcam, with hands and a face (`python -m bench.demo_clip`)."""
+CLIPS = {name: Path(__file__).with_name(f"{name}.mp4") for name in ("someone", "walker")}
+"""A rendered person before a webcam, with hands and a face, and one who walks on a treadmill (`python -m bench.demo_clip`)."""
 BOUNDARY = "picture"
 QUALITY = 90
 
@@ -24,8 +24,8 @@ QUALITY = 90
 class NetworkCamera:
     """A camera that serves `fps` pictures a second of a clip, again and again, to everyone who asks; `unplug` ends all answers."""
 
-    def __init__(self, width: int, height: int, fps: float) -> None:
-        self.size, self.fps = (width, height), fps
+    def __init__(self, width: int, height: int, fps: float, shows: str = "someone") -> None:
+        self.size, self.fps, self._clip = (width, height), fps, CLIPS[shows]
         self._began: float | None = None
         self._out = threading.Event()
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
@@ -53,7 +53,7 @@ class NetworkCamera:
         """JPEG files at the camera's pace; one that comes too late is not made. The clip begins when somebody first asks."""
         self._began = time.monotonic() if self._began is None else self._began
         number = self._now()
-        for begins, ends, frame in clip_from(number / self.fps):
+        for begins, ends, frame in clip_from(self._clip, number / self.fps):
             if self._out.is_set():
                 return
             number = max(number, self._now())
@@ -97,22 +97,22 @@ class NetworkCamera:
         return Handler
 
 
-def clip_from(seconds: float) -> Iterator[tuple[float, float, Any]]:
-    """The clip's frames, again and again: from when to when (s) each is shown, the first one not long before `seconds`."""
-    facts = container.file_facts(str(CLIP))
+def clip_from(clip: Path, seconds: float) -> Iterator[tuple[float, float, Any]]:
+    """A clip's frames, again and again: from when to when (s) each is shown, the first one not long before `seconds`."""
+    facts = container.file_facts(str(clip))
     rate = facts.rate_hz or 30.0
     turn = int(seconds * rate / facts.frames)
     while True:
-        with container.opened(str(CLIP), 0, 0, 0.0) as (opened, _):
+        with container.opened(str(clip), 0, 0, 0.0) as (opened, _):
             for k, frame in enumerate(opened.decode(video=0), turn * facts.frames):
                 yield k / rate, (k + 1) / rate, frame
         turn += 1
 
 
 @contextmanager
-def network_camera(width: int, height: int, fps: float) -> Iterator[NetworkCamera]:
+def network_camera(width: int, height: int, fps: float, shows: str = "someone") -> Iterator[NetworkCamera]:
     """A camera that can be reached for as long as the context lasts."""
-    camera = NetworkCamera(width, height, fps)
+    camera = NetworkCamera(width, height, fps, shows)
     try:
         yield camera
     finally:
@@ -125,5 +125,5 @@ def simulated(source: Video) -> Iterator[Video]:
     if source.is_file:
         source = replace(source, url="")
     width, height = source.size()
-    with network_camera(width, height, source.fps) as camera:
+    with network_camera(width, height, source.fps, source.shows) as camera:
         yield replace(source, url=camera.url, width=width, height=height)

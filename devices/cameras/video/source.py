@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,7 @@ class Video(Source):
     lost_after_s: float = param(5.0, above=0.0, help="after how long without a frame it is opened again")
     latency_s: float = param(0.0, least=0.0, most=2.0, help="how long before its stamp a frame really was taken")
     realtime: bool = param(True, help="false: a file is played as fast as the graph takes it")
+    shows: Literal["someone", "walker"] = param("someone", help="with --simulate: who the simulated camera shows")
 
     @property
     def is_file(self) -> bool:

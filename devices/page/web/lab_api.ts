@@ -11,7 +11,9 @@ export interface Field {
   name: string; label: string; unit: string; help: string; type: string; min: number | null; max: number | null; choices: Value[]; value: Value; part: string;
 }
 export interface Source { node: string; use: string; can_simulate: boolean; given: Record<string, Value>; rehearsals: Record<string, Record<string, Value>> }
-export interface Form { graph: string; title: string; name: string; summary: string; fields: Field[]; devices: Source[]; checks: string[] }
+/** Networks that a graph needs and that are not there; {}: all are there. */
+export interface Networks { name?: string; what?: string; licence?: string; needed?: boolean }
+export interface Form { graph: string; title: string; name: string; summary: string; fields: Field[]; devices: Source[]; networks: Networks; checks: string[] }
 export interface Found { kind: string; address: string; what: string; yaml: string; note: string; use: string; parameters: Record<string, Value> }
 export interface State extends Summary {
   values: Record<string, Value>; page: boolean; output: string; files: string[]; recorded: boolean; free_bytes: number; now_s: number; controls: boolean;

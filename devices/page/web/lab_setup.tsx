@@ -4,6 +4,7 @@ import { useEffect, useState } from "preact/hooks";
 import { type Form, type Found, get, send, type Value } from "./lab_api";
 import { Check } from "./lab_check";
 import { Devices, Fields, type Values } from "./lab_form";
+import { Download } from "./lab_networks";
 import { BedRegion } from "./lab_region";
 
 const SUBJECT = "session.subject";
@@ -19,8 +20,9 @@ export function Setup({ graph }: { graph: string }) {
   const [chosen, setChosen] = useState<Record<string, string>>({});
   const [status, setStatus] = useState("");
   const [busy, setBusy] = useState(false);
+  const read = () => void get<Form>(`api/form?graph=${encodeURIComponent(graph)}`).then(setForm, (error: Error) => setStatus(error.message));
   useEffect(() => {
-    get<Form>(`api/form?graph=${encodeURIComponent(graph)}`).then(setForm, (error: Error) => setStatus(error.message));
+    read();
     get<Found[]>("api/devices").then((all) => {
       setFound(all);
       setSimulate(!all.some((one) => one.use));
@@ -74,6 +76,7 @@ export function Setup({ graph }: { graph: string }) {
     <form class="setup" onSubmit={(e) => { e.preventDefault(); void start(); }}>
       <h1>{form.title}</h1>
       <p class="quiet">{form.summary}</p>
+      {form.networks.name ? <Download networks={form.networks} done={read} /> : null}
       <section><h2>Who</h2><Fields fields={facts} values={values} change={change} /></section>
       <section><h2>Devices</h2>
         <Devices values={values} rehearse={(all, chosen) => setValues((old) => {
@@ -90,8 +93,9 @@ export function Setup({ graph }: { graph: string }) {
         </section>
       ) : null}
       <div class="actions starting">
-        <button type="submit" class="primary" disabled={busy}>Start</button>
+        <button type="submit" class="primary" disabled={busy || !!form.networks.needed}>Start</button>
         <button type="button" disabled={busy} onClick={keep}>Save as preset</button>
+        {form.networks.needed ? <span class="quiet">after the networks are downloaded</span> : null}
         <span role="status" class={status.startsWith("kept") ? "good" : "bad"}>{status}</span>
       </div>
     </form>

@@ -23,7 +23,7 @@ from kinegraph.operators.body.camera.parts import (
 from kinegraph.operators.body.names import LANDMARKS, SEEN
 from kinegraph.operators.body.network.crop import Image, Single
 from kinegraph.operators.body.network.pairing import Pairing
-from kinegraph.operators.body.network.published import FACE, interpreter
+from kinegraph.operators.body.network.published import FACE, Published, interpreter
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.operator import Case, Input, Operator, grid
 from kinegraph.stream.params import param
@@ -79,6 +79,7 @@ class Face(Operator[FaceState]):
 
     inputs = {"image": Input(), "seen": Input()}
     references: ClassVar[str] = "MediaPipe Face Mesh (network); eye aspect ratio: Soukupova and Cech 2016"
+    networks: ClassVar[tuple[Published, ...]] = (FACE,)
 
     model: str = param(
         "", help="the network's file; left out: the one that `kinegraph files fetch camera-models` brings"

@@ -23,7 +23,7 @@ from kinegraph.operators.body.camera.parts import (
 from kinegraph.operators.body.names import LANDMARKS, SEEN
 from kinegraph.operators.body.network.crop import Image, Single
 from kinegraph.operators.body.network.pairing import Pairing
-from kinegraph.operators.body.network.published import HAND, interpreter
+from kinegraph.operators.body.network.published import HAND, Published, interpreter
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec
 from kinegraph.stream.domain.fingers import BENDS, MAX_BENDS, MIN_BENDS, RELAXED
 from kinegraph.stream.operator import Case, Input, Operator, grid
@@ -81,6 +81,7 @@ class Hands(Operator[HandsState]):
     inputs = {"image": Input(), "seen": Input()}
     outputs: ClassVar[tuple[str, ...]] = ("out", "bends")
     references: ClassVar[str] = "MediaPipe Hands (network)"
+    networks: ClassVar[tuple[Published, ...]] = (HAND,)
 
     model: str = param(
         "", help="the network's file; left out: the one that `kinegraph files fetch camera-models` brings"

@@ -69,6 +69,7 @@ class ImagePose(Operator[ImagePoseState]):
 
     inputs = {"in": Input()}
     references: ClassVar[str] = "MediaPipe Pose (networks, refinement by heat maps, next square)"
+    networks: ClassVar[tuple[Published, ...]] = (POSE, PERSON)
 
     model: str = param(
         "", help="the landmark network's file; left out: the one that `kinegraph files fetch camera-models` brings"

@@ -17,6 +17,7 @@ from kinegraph.operators.body.network.crop import Image, crop, refine
 from kinegraph.operators.body.network.follow import AROUND, TRACKED, followed
 from kinegraph.operators.body.network.pairing import Pairing
 from kinegraph.operators.body.network.probe import box_of, probe
+from kinegraph.operators.body.network.published import POSE, Published
 from kinegraph.operators.body.network.sync_check import InStep
 from kinegraph.stream.chunk import FOREVER, NS, Array, Chunk, Samples, Specs, StreamSpec, empty
 from kinegraph.stream.errors import InputError, ParameterError
@@ -68,6 +69,7 @@ class PoseNetwork(Operator[PoseNetworkState]):
 
     inputs = {"image": Input(), "person": Input()}
     references: ClassVar[str] = "MediaPipe Pose (network, refinement by heat maps, next square)"
+    networks: ClassVar[tuple[Published, ...]] = (POSE,)
 
     model: str = param("", help="the network's file; left out: the one that `kinegraph files fetch pose-model` brings")
     needed: bool = param(True, help="false: without the network the graph runs and finds no person")

@@ -24,16 +24,24 @@ _digest = cache(sha256_of)
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A network as it was published. `fetch`: what `kinegraph files fetch` calls it; `what`: what it is called in messages."""
+    """A network as it was published. `fetch`: what `kinegraph files fetch` calls it; `what`: what it is called in messages.
+
+    An operator that runs some lists them as `networks`.
+    """
 
     file: str
     sha256: str
     fetch: str
     what: str
+    licence: str = "Apache-2.0"
 
     def default(self) -> Path:
         """Where `kinegraph files fetch` keeps it."""
         return Path(platformdirs.user_data_dir("kinegraph")) / "models" / self.file
+
+    def is_kept(self) -> bool:
+        """Whether the published file is where `kinegraph files fetch` keeps it."""
+        return self.default().is_file() and sha256_of(self.default()) == self.sha256
 
     def path(self, parameter: str, given: str = "") -> Path:
         """The file that a parameter names; left out, the published one, checked. Raises ParameterError."""
