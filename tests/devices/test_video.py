@@ -185,6 +185,17 @@ def test_a_shipped_clip_repeats_and_a_late_viewer_need_not_see_it_from_its_begin
     assert (begins, ends) == (pytest.approx(3 * length), pytest.approx(3 * length + 1 / facts.rate_hz))
 
 
+def test_what_is_read_without_hurry_is_simulated_by_a_film() -> None:
+    """A slow computer loses nothing of it."""
+    with simulated(Video(realtime=False, shows="walker")) as source:
+        facts = container.file_facts(source.url)
+        assert source.is_file and (facts.width, facts.height, facts.rate_hz) == (640, 480, 30.0)
+        assert facts.frames == 5 * container.file_facts(str(CLIPS["walker"])).frames
+        with container.opened(source.url, 0, 0, 0.0) as (opened, _):
+            times = [packet.pts * packet.time_base for packet in opened.demux(video=0) if packet.pts is not None]
+    assert max(times) == pytest.approx(40.0, abs=0.05)
+
+
 def test_a_camera_that_cannot_keep_up_is_unplugged_nevertheless(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its frames are all too late, so none is sent."""
 
@@ -214,6 +225,7 @@ def test_what_is_missing_is_named() -> None:
         (errno.EBUSY, "another program has it open; close that one first"),
         (errno.ENODEV, "it is not connected"),
         (errno.EINVAL, "it does not offer this size or rate"),
+        (errno.ENOTTY, "it is no webcam; kinegraph devices shows"),
     ],
 )
 def test_a_webcam_is_asked_for_its_size_and_rate_and_a_refusal_names_what_helps(
@@ -237,6 +249,12 @@ def test_a_webcam_that_is_gone_is_named_as_such() -> None:
     with reading(Video("/dev/video77")) as feed:
         wait_for(lambda: feed.error is not None)
     assert str(feed.error) == "/dev/video77 cannot be opened as a video (it is not connected)"
+
+
+def test_a_webcam_may_be_named_by_the_name_that_stays() -> None:
+    named = Video("/dev/v4l/by-id/usb-046d_C920-video-index0")
+    assert not named.is_file and named.size() == (640, 480)
+    assert "there is no webcam /dev/v4l/by-id/usb-046d_C920-video-index0" in named.missing()
 
 
 def test_a_webcams_exposure_is_fixed_by_the_kernels_controls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

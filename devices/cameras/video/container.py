@@ -33,6 +33,8 @@ REMEDIES = {
     errno.EBUSY: "another program has it open; close that one first",
     errno.ENOENT: "it is not connected",
     errno.ENODEV: "it is not connected",
+    errno.ENXIO: "it is not connected",
+    errno.ENOTTY: "it is no webcam; kinegraph devices shows those that are connected",
     errno.EINVAL: "it does not offer this size or rate; v4l2-ctl --list-formats-ext shows what it offers",
 }
 """By error number, of webcams."""
@@ -51,8 +53,8 @@ def is_address(url: str) -> bool:
 
 
 def is_webcam(url: str) -> bool:
-    """Whether it is a camera at this computer."""
-    return re.fullmatch(r"/dev/video\d+", url) is not None
+    """Whether it is a camera at this computer, by its number or by a name that stays (/dev/v4l/by-id/...)."""
+    return re.fullmatch(r"/dev/(video\d+|v4l/.+)", url) is not None
 
 
 def webcams() -> list[tuple[str, str]]:

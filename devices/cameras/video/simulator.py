@@ -1,4 +1,4 @@
-"""A simulated camera on the network: it serves JPEG pictures of a shipped clip over HTTP, as many telephones' apps do."""
+"""A simulated camera on the network: it serves JPEG pictures of a shipped clip over HTTP, as many telephones' apps do; or a film."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from kinegraph.devices.cameras.video import container
@@ -17,6 +18,8 @@ from kinegraph.devices.cameras.video.source import Video
 
 CLIPS = {name: Path(__file__).with_name(f"{name}.mp4") for name in ("someone", "walker")}
 """A rendered person before a webcam, with hands and a face, and one who walks on a treadmill (`python -m bench.demo_clip`)."""
+TIMES = 5
+"""How often a film shows it."""
 BOUNDARY = "picture"
 QUALITY = 90
 
@@ -119,9 +122,21 @@ def network_camera(width: int, height: int, fps: float, shows: str = "someone") 
         camera.close()
 
 
+def film_of(clip: Path, folder: Path) -> Path:
+    """A film that shows a clip some times, one after the other, as a list that ffmpeg's libraries open as one file."""
+    (folder / clip.name).write_bytes(clip.read_bytes())
+    film = folder / "film.ffconcat"
+    film.write_text("ffconcat version 1.0\n" + f"file {clip.name}\n" * TIMES, encoding="ascii")
+    return film
+
+
 @contextmanager
 def simulated(source: Video) -> Iterator[Video]:
-    """The source as it reads a simulated camera over HTTP."""
+    """The source as it reads a simulated camera over HTTP; one that is not in real time, as it reads a file."""
+    if not source.realtime:
+        with TemporaryDirectory() as folder:
+            yield replace(source, url=str(film_of(CLIPS[source.shows], Path(folder))))
+        return
     if source.is_file:
         source = replace(source, url="")
     width, height = source.size()
