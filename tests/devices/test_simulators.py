@@ -217,7 +217,7 @@ def test_the_command_prints_an_address_that_can_be_opened() -> None:
                 wait_for(lambda: feed.count("emg") >= 50)
         finally:
             process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 0
+        assert process.wait(100) == 0
     assert feed.lost("emg") and not Path(address).exists()
 
 

@@ -173,7 +173,7 @@ def test_a_source_hears_what_an_outlet_says() -> None:
     feed = Heard(len(POSES) - 1)
     thread = threading.Thread(target=Vmc(port=number).read, args=(feed,))
     thread.start()
-    assert feed.begun.wait(5)
+    assert feed.begun.wait(100)
     outlet = VmcOutlet(port=number)
     outlet.open({"pose": TREE.spec(30.0)})
     outlet.begin()
@@ -182,7 +182,7 @@ def test_a_source_hears_what_an_outlet_says() -> None:
     for i, pose in enumerate(POSES):
         outlet.process("pose", Chunk(np.array([i + 1]), pose[None], 0))
     outlet.close()
-    thread.join(10)
+    thread.join(100)
     assert not thread.is_alive() and feed.problems == ["not OSC"]
     assert np.allclose(feed.rows[0], POSES[0], atol=1e-6) and np.allclose(
         feed.rows[-1], POSES[len(feed.rows) - 1], atol=1e-6

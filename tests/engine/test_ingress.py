@@ -232,7 +232,7 @@ class Flooding(Waking):
 
     def read(self, feed: Feed) -> None:
         feed.emit(Chunk(np.array([START]), np.zeros((1, 2)), START))
-        assert BUSY.wait(10.0)
+        assert BUSY.wait(100.0)
         for i in range(1, 200):
             feed.emit(Chunk(np.array([START + i]), np.full((1, 2), i, float), START + i))
         DONE.set()

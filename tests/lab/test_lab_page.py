@@ -51,7 +51,7 @@ def lab(home: Path, port: int = 0) -> Iterator[tuple[subprocess.Popen[bytes], st
             yield process, re.findall(r"http\S+", log.read_text())[0]
         finally:
             process.send_signal(signal.SIGINT)
-            process.wait(20)
+            process.wait(100)
 
 
 @pytest.fixture(scope="module")

@@ -173,7 +173,7 @@ def test_what_the_servers_limits_discarded_is_a_gap_with_its_count(mortal: Local
             bed.snapshot()
         eventually(lambda: not bed.runtime.sender or not bed.runtime.sender.waiting)
         link = Link(NatsServer(mortal.url), "test")
-        assert link.wait(10)
+        assert link.wait(100)
         last = link.call(link.stream.stream_info(DATA)).state.last_seq
         link.call(link.stream.purge_stream(DATA, seq=last))
         link.close()

@@ -32,7 +32,7 @@ def guarded(server: LocalServer, tmp_path_factory: pytest.TempPathFactory) -> It
     for one in accounts:
         (folder / one.name).write_text(one.password)
     with linked(made, CENTRE) as link:
-        assert link.wait(20)
+        assert link.wait(100)
         link.call(make_streams(link))
     yield made
     made.stop()
@@ -60,7 +60,7 @@ def test_no_client_connects_without_an_account(guarded: LocalServer) -> None:
 
 def test_a_bed_writes_its_own_subjects_and_no_others(guarded: LocalServer) -> None:
     with linked(guarded, "bed1") as link, linked(guarded, CENTRE) as centre:
-        assert link.wait(20) and centre.wait(20)
+        assert link.wait(100) and centre.wait(100)
 
         async def publish(subject: str) -> Any:
             return await link.stream.publish(subject, b"x", timeout=0.3)
@@ -98,7 +98,7 @@ def test_an_nkey_opens_the_server_instead_of_a_password(server: LocalServer, tmp
     made = LocalServer(tmp_path / "site", free_port(), [Account(CENTRE, nkey=public)]).start()
     try:
         link = Link(NatsServer(made.url, nkey_file=str(tmp_path / "key")), "test")
-        assert link.wait(20)
+        assert link.wait(100)
         link.close()
     finally:
         made.stop()

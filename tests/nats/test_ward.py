@@ -238,7 +238,7 @@ def centre(server: LocalServer, tmp_path: Path) -> Iterator[Centre]:
 def connected(server: LocalServer, tmp_path: Path, *, long_ago: bool = True) -> Centre:
     """A ward's centre that has been connected for a while, or only just."""
     made = Centre(tmp_path / "ward", NatsServer(server.url))
-    assert made.link.wait(20)
+    assert made.link.wait(100)
     made.turn()
     made.listening_s -= 3600 if long_ago else 0
     return made
@@ -384,7 +384,7 @@ def ask(url: str, body: object = None, token: str = "secret") -> tuple[int, Any]
     headers = {"Cookie": f"kinegraph-{url.split(':')[2].split('/')[0]}={token}", "Content-Type": "application/json"}
     data = None if body is None else json.dumps(body).encode()
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, data, headers), timeout=20) as answer:
+        with urllib.request.urlopen(urllib.request.Request(url, data, headers), timeout=100) as answer:
             return answer.status, json.loads(answer.read())
     except urllib.error.HTTPError as error:
         with error:
@@ -627,7 +627,7 @@ def test_a_sites_accounts_open_its_server_and_others_do_not(
             (site.server, True),
         ):
             link = Link(one, "test")
-            assert link.wait(20) is opens, link.error
+            assert link.wait(100) is opens, link.error
             link.close()
     finally:
         local.stop()

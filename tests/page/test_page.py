@@ -77,7 +77,7 @@ def verified(folder: Path) -> None:
 def answer(process: PageProcess, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
     """What the server answers to a request."""
     place = urlsplit(process.url)
-    connection = http.client.HTTPConnection("127.0.0.1", place.port or 0, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", place.port or 0, timeout=100)
     cookie = f"kinegraph-{place.port}={place.query.removeprefix('token=')}"
     connection.request("GET", path, headers={"Cookie": cookie, **headers})
     reported = connection.getresponse()
@@ -242,7 +242,7 @@ def test_a_message_that_cannot_be_ends_its_connection_and_nothing_else(
         hostile.send(message)
         with pytest.raises(Exception, match=r"1008|1009"):
             for _ in range(1000):
-                hostile.recv(timeout=20)
+                hostile.recv(timeout=100)
         until(other, "signal")
 
 
@@ -335,7 +335,7 @@ def test_pictures_that_are_not_recorded_are_shown_to_nobody_outside(tmp_path: Pa
                 with pytest.raises(ConnectionClosed, match="1008"):
                     client.send(json.dumps({"do": "see", "streams": {str(len(kinds)): 0}}))
                     while True:
-                        client.recv(timeout=20)
+                        client.recv(timeout=100)
 
 
 @pytest.mark.parametrize("at", rest_nightly("0.0.0.0:0", "127.0.0.1:0"))
@@ -377,7 +377,7 @@ def test_a_replay_is_shown_too_and_takes_no_marks(recorded: tuple[Path, Path], t
             other.send(json.dumps({"do": "mark", "text": "x"}))
             with pytest.raises(ConnectionClosed, match="1008"):
                 while True:
-                    other.recv(timeout=20)
+                    other.recv(timeout=100)
         assert process.process.wait(100) == 0
 
 

@@ -140,11 +140,11 @@ def test_an_avatar_stands_as_the_pose_says(own: bool, recorded: Path, browser: L
         if not own:
             browser.picture(tmp_path / "page-avatar.png", ".avatar")
         assert browser.complaints == []
-        with urlopen(process.at("avatar.vrm"), timeout=10) as reported:
+        with urlopen(process.at("avatar.vrm"), timeout=100) as reported:
             assert reported.read() == avatar.read_bytes()
         for path in ("other.vrm", "avatar.vrm/../me.vrm", "me.vrm"):
             with pytest.raises(HTTPError, match="404"):
-                urlopen(process.at(path), timeout=10)
+                urlopen(process.at(path), timeout=100)
 
 
 @needs_browser

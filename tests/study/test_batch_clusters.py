@@ -118,7 +118,7 @@ def test_the_scheduler_of_a_queue_takes_jobs_with_the_batchs_certificate_only(
 def test_dasks_web_pages_are_off() -> None:
     with workers("local", 0, 1 << 30, 1) as client:
         port = client.cluster.scheduler.http_server.port
-        with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=20)) as connection:
+        with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=100)) as connection:
             connection.request("GET", "/health")
             with connection.getresponse() as answer:
                 assert answer.status == 404

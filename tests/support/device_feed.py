@@ -111,7 +111,7 @@ def reading(source: Source) -> Iterator[Kept]:
         yield feed
     finally:
         feed.stop()
-        thread.join(5)
+        thread.join(60)
         assert not thread.is_alive(), "the source does not stop"
     for output, chunks in feed.chunks.items():
         check_queued(specs[output], chunks)

@@ -196,7 +196,7 @@ def live_browser(folder: Path, allowed: str = "") -> Iterator[LiveBrowser]:
                 assert not unmended, unmended
         finally:
             process.terminate()
-            process.communicate(timeout=20)
+            process.communicate(timeout=100)
 
 
 def _tab(port: str) -> str:

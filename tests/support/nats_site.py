@@ -56,7 +56,7 @@ def make(server: LocalServer) -> None:
     """Make the server's streams."""
     link = Link(NatsServer(server.url), "tests")
     try:
-        assert link.wait(20)
+        assert link.wait(100)
         link.call(make_streams(link))
     finally:
         link.close()
