@@ -298,9 +298,16 @@ class Occupancy:
             if not known:
                 self.bodies.take(k, beds.part(k), beds.stretch(k), limits.rise_mm)
             self._become(k, IN, beds.seconds.since, end - 1, events)
-        elif limits.odd_s and self.alive[k] * limits.learn_s >= limits.odd_s:
-            self.doubt[k] = ODD
-            self._become(k, UNKNOWN, end - round(int(self.alive[k]) * limits.learn_s * NS), end - 1, events, "region")
+        elif limits.odd_s and (self.doubt[k] == ODD or self.alive[k] * limits.learn_s >= limits.odd_s):
+            beds.lies(k, limits.rise_mm, limits.min_share)
+            if beds.flat[k]:  # nothing stands out of the mattress: a fan that lifts the blanket
+                if self.state[k] != OUT:
+                    self._become(k, OUT, end - NS, end - 1, events)
+            elif self.state[k] == OUT:
+                self.doubt[k] = ODD
+                self._become(
+                    k, UNKNOWN, end - round(int(self.alive[k]) * limits.learn_s * NS), end - 1, events, "region"
+                )
 
     def _judge_fit(self, end: int, events: Rows) -> None:
         """Whether the regions hold who lies there, as a setup check asks; until they once did."""

@@ -83,6 +83,13 @@ def test_a_child_who_breathes_in_a_bed_that_was_found_is_not_out_of_bed(columns:
     assert known[1][0] == ("in" if columns == 2 else "unknown") and 180 <= known[1][1] <= 240
 
 
+def test_a_fan_that_lifts_the_blanket_of_an_empty_bed_all_evening_is_no_fault_of_the_region() -> None:
+    time, depth = bedroom(1200)
+    at = (time - time[0]) / NS
+    depth[:, 3:11, 7:12] -= np.where(at > 70, 6.0 * (1 + np.sin(2 * np.pi * 0.05 * at)), 0.0)[:, None, None]
+    assert states(presence(time, depth)["out"], time) == [("out", 0), ("unknown", 1200)]
+
+
 def test_still_sleep_without_visible_breath_is_not_an_empty_bed() -> None:
     time, depth = bedroom(3000, (200, 2900), breath_mm=0.0)
     made = presence(time, depth, unsure_min=0.0)["out"]
