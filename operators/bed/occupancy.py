@@ -33,7 +33,7 @@ need not be within a region."""
 MIN_SHARE = 0.05
 """Who covers less of a region that is too large may be a pet."""
 SMALL_SHARE, SMALL_WINDOWS = 0.06, 3
-"""Who covers less than `min_share` of a bed that was found, and breathes in so many windows in a row, is a child; a cat covers .04."""
+"""Who covers less than `min_share` of a bed that was found, and breathes in this many windows in a row, is a child; a cat covers .04."""
 SEEN_SHARE = 0.02
 """Where this much is raised, and something has breathed within `BLIND_S`, it is not learned as the empty bed."""
 TREMBLE = 0.03

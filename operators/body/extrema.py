@@ -73,7 +73,7 @@ heading is turned round; below which it is as likely as not that left is left: w
 CROSSED_M, ASTRAY_M = (0.10, 0.04), 0.15
 """Elbows that lie on each other's side by the first, and knees by the second, are exchanged; one alone, by the third, is left out."""
 HIPS, BESIDE_M = [MARKERS.index(f"{side}_hip") for side in ("left", "right")], 0.03
-"""Where one of these lies beside the body by so much as the camera sees it, neither is where it was put."""
+"""Where one of these lies beside the body by this as the camera sees it, neither is where it was put."""
 ALONG = 0.4
 """The chest is widest along the shoulders if that is so far from where the shape says that the left is (a cosine)."""
 

@@ -26,7 +26,7 @@ from kinegraph.stream.text.safe_text import say
 REGISTRY, MIRROR = "https://registry.npmjs.org", "npm_config_registry"
 """Where packages are, unless npm's own variable names a mirror: what comes from there is checked as well."""
 PACKAGE_BYTES, PIECE_BYTES, REPORTED_BYTES = 64 << 20, 1 << 18, 4_000_000
-"""A longer answer is not the package; it is read in pieces, and progress is reported every so many bytes."""
+"""A longer answer is not the package; it is read in pieces, and progress is reported at intervals of the last of these."""
 NOTICE = """{file}: of MediaPipe {version} (npm: {name}).
 Copyright The MediaPipe Authors. Licensed under the Apache License, Version 2.0: http://www.apache.org/licenses/LICENSE-2.0
 It is unchanged, and it is no part of kinegraph. Source: https://github.com/google-ai-edge/mediapipe

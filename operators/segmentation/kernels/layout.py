@@ -151,7 +151,7 @@ EVENT_WIDTH = 8
 """A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
 
 MOST_CLUSTERS = 32
-"""At most so many exemplars are kept."""
+"""The most exemplars that are kept."""
 
 NEVER_KNOWN = -(1 << 60)
 

@@ -14,7 +14,7 @@ from kinegraph.operators.segmentation.kernels.layout import (
 from kinegraph.stream.kernel import kernel
 
 RISES = 2
-"""A cycle is believed as soon as frames lie farther apart at so many longer lags."""
+"""A cycle is believed as soon as frames lie farther apart at this many longer lags."""
 
 
 @kernel
