@@ -317,14 +317,18 @@ def test_a_config_runs_without_hardware(
         pose_network_or_skip()
     monkeypatch.setenv("COLUMNS", "160")
     keep = ("--set", "recording.rolling=false")
-    code, _, complaint = kinegraph("run", config, "--simulate", "--for", "2", "-o", "session", "--view", "none", *keep)
-    no_broker = (
-        "not delivered: home: the MQTT broker" in complaint
-    )  # there is none, and a first state may fall into the two seconds
-    assert code == (5 if no_broker else 0), complaint
-    info = kinegraph("info", "session")[1]
-    assert "simulated_sources" in info
-    rows = inputs_of(info)
-    assert any(int(row[2]) > 0 for name, row in rows.items() if name != "annotations"), info
+    for seconds in (2, 30):  # where nothing has come in two seconds: a busy machine takes longer to open a camera
+        words = ("--simulate", "--for", seconds, "-o", f"session{seconds}", "--view", "none", *keep)
+        code, _, complaint = kinegraph("run", config, *words)
+        no_broker = (
+            "not delivered: home: the MQTT broker" in complaint
+        )  # there is none, and a first state may fall into the two seconds
+        assert code == (5 if no_broker else 0), complaint
+        info = kinegraph("info", f"session{seconds}")[1]
+        assert "simulated_sources" in info
+        rows = inputs_of(info)
+        if has_samples := any(int(row[2]) > 0 for name, row in rows.items() if name != "annotations"):
+            break
+    assert has_samples, info
     if config.stem in IDENTIFIED:
         assert IDENTIFIED[config.stem] in info
