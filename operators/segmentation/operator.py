@@ -57,8 +57,8 @@ class Segment(Operator[SegmentState]):
 
     A frame's neighbours are the frames up to `cycle_s` before it within the radius, outside of a band around the diagonal; distances are
     Euclidean, divided by the root of the number of features (the thesis's generalised radius, 2.3.1). An activity opens when, of the newest
-    `cycle_s`, frames worth `mass_s` have neighbours in it; it ends without such frames for `quiet_s` and no path along its cycle is under
-    way; growing backward finds its start. Its cycle is the shortest lag at which it comes back to itself. The first cycle is kept as an
+    `cycle_s`, frames worth `mass_s` have neighbours in it; it ends without such frames for `quiet_s`; growing backward finds its start. Its
+    cycle is the shortest lag at which it comes back to itself. The first cycle is kept as an
     exemplar, one per cluster, and repetitions are shortest warping paths along it, so that they are counted however long ago the first one
     was, and cut at one phase in all activities of a cluster.
 

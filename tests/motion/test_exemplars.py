@@ -1,19 +1,17 @@
-"""Exemplars: which of them can match at all; how many are kept, and which make room."""
+"""Exemplars: how many are kept, and which make room."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-import pytest
 
 from kinegraph.operators.segmentation import Segment
-from kinegraph.operators.segmentation.kernels.clusters import can_match, fit, keep, recognise
+from kinegraph.operators.segmentation.kernels.clusters import keep
 from kinegraph.operators.segmentation.kernels.distances import insert
 from kinegraph.operators.segmentation.kernels.layout import MOST_CLUSTERS, Memory, allocate
 from tests.motion.segmentation_runs import QUICK, played
 from tests.motion.test_segmentation_kernels import FRAMES
-from tests.support.tiers import rest_nightly
 
 
 def exercise(kind: int, length: int, times: int = 1, width: int = 4) -> Any:
@@ -31,61 +29,6 @@ def seen(made: Memory, x: Any) -> int:
 
 def living(s: Memory) -> list[int]:
     return [k for k in range(MOST_CLUSTERS) if s.cluster_numbers[k] >= 0]
-
-
-def fitting(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
-    """`recognise` in plain words: every exemplar of about this length is warped."""
-    best, found, met = s.radius, -1, first
-    for slot in living(s):
-        size = s.exemplar_sizes[slot]
-        if size * 3 <= length * 4 and length * 3 <= size * 4:
-            mean, start = fit(s, slot, first, last, False)
-            if mean < best:
-                best, found, met = mean, slot, start
-    return found, met
-
-
-def holed(x: Any, kind: str) -> Any:
-    rng = np.random.default_rng(4)
-    if kind == "values":
-        return np.where(rng.random(x.shape) < 0.05, np.nan, x)
-    if kind == "a feature":
-        return np.concatenate([x[:, :3], np.full((len(x), 1), np.nan)], 1)
-    return {"far from zero": x + 1e6, "beyond float32": x * 1e30, "tiny": x * 1e-25}.get(kind, x)
-
-
-@pytest.mark.parametrize("radius", rest_nightly(1.0, 0.05, 0.3))
-@pytest.mark.parametrize("kind", ["as it is", "values", "a feature", "far from zero", "beyond float32", "tiny"])
-def test_what_is_left_out_would_not_have_matched(kind: str, radius: float) -> None:
-    rng = np.random.default_rng(2)
-    made = allocate(4, FRAMES, radius * {"beyond float32": 1e30, "tiny": 1e-25}.get(kind, 1.0), 0.5).with_room(64)
-    met = []
-    for i in range(120):
-        number, length = int(rng.integers(0, 60)), int(rng.integers(12, 30))
-        end = seen(made, holed(exercise(number, length, 2) + 0.1 * rng.normal(size=(2 * length, 4)), kind))
-        first, last = end - 2 * length, end - 1
-        found = recognise(made, first, last, length)
-        assert found == fitting(made, first, last, length)
-        left = [slot for slot in living(made) if not can_match(made, slot, first, last)]
-        assert all(fit(made, slot, first, last, False)[0] > made.radius for slot in left)
-        met.append(found[0] >= 0)
-        if found[0] < 0:
-            keep(made, first, length)
-        else:
-            made.exemplar_uses[found[0]] = made.exemplar_uses.max() + 1
-        if i == 60:
-            made.cluster_numbers[rng.integers(0, MOST_CLUSTERS, 9)] = -1
-    assert radius < 1.0 or any(met)
-
-
-def test_few_exemplars_are_warped_where_few_can_match() -> None:
-    made = allocate(4, FRAMES, 0.1, 0.5).with_room(64)
-    for kind in range(MOST_CLUSTERS):
-        end = seen(made, exercise(kind, 15))
-        keep(made, end - 15, 15)
-    end = seen(made, exercise(7, 15, 2))
-    may = [can_match(made, slot, end - 30, end - 1) for slot in range(MOST_CLUSTERS)]
-    assert may[7] and sum(may) <= 10
 
 
 def test_those_used_longest_ago_make_room_and_what_the_others_hold_does_not_change() -> None:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from kinegraph.operators.segmentation.kernels.cycles import GAIN, advance, columns, travel
 from kinegraph.operators.segmentation.kernels.layout import Memory
 from kinegraph.stream.kernel import kernel
-
-ROUNDING = 1e-9
-"""Sums of squares may differ by this share of their size."""
 
 
 @kernel
@@ -38,33 +33,11 @@ def recognise(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
     best, found, met = s.radius, -1, first
     for slot in range(s.cluster_numbers.shape[0]):
         size = s.exemplar_sizes[slot]
-        alive = s.cluster_numbers[slot] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4
-        if alive and can_match(s, slot, first, last):
+        if s.cluster_numbers[slot] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
             mean, start = fit(s, slot, first, last, False)
             if mean < best:
                 best, found, met = mean, slot, start
     return found, met
-
-
-@kernel
-def can_match(s: Memory, slot: int, first: int, last: int) -> bool:
-    """Whether any of the frames first..last comes within the radius of any frame of the exemplar: if not, no path along it does."""
-    width, ring = s.frames.shape[0], s.times.shape[0]
-    most, row = width * s.radius * s.radius * (1.0 + ROUNDING), np.empty(width)
-    for i in range(first, last + 1):
-        for d in range(width):
-            row[d] = s.frames[d, i % ring]
-        for c in range(s.exemplar_sizes[slot]):
-            total = 0.0
-            for d in range(width):
-                apart = row[d] - s.exemplars[slot, d, c]
-                if not math.isnan(apart):
-                    total += apart * apart
-                    if total > most:
-                        break
-            if total <= most:
-                return True
-    return False
 
 
 @kernel
