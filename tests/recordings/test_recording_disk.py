@@ -110,11 +110,9 @@ def test_a_full_disk_and_full_memory_drop_and_count(tmp_path: Path, disk: Disk) 
     recorder = counted_recorder(tmp_path / "s", queue_bytes=200_000)
     at = feed(recorder, 0, 20)
     until(lambda: recorder.status.error != "")
-    began = time.monotonic()
-    at = feed(recorder, at, 500)
+    at = feed(recorder, at, 500)  # which never ends if it waits for the disk
     dropped = recorder.status.dropped["board"]
     assert dropped > 300
-    assert time.monotonic() - began < 20, "the writer waited for the disk"
     disk.room = float("inf")
     until(lambda: recorder.status.error == "" and recorder.status.behind_s < 0.05)
     at = feed(recorder, at, 10)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +17,10 @@ from kinegraph.stream.chunk import NS
 from kinegraph.stream.errors import DeviceError
 from tests.support import night_made
 from tests.support.browser import Browser, needs_browser
+from tests.support.command_line import Command, kinegraph, refused
 from tests.support.night_made import EVENING, SPECS, STEP, Night, feed, logged, opened, states
+
+__all__ = ["kinegraph"]
 
 
 @pytest.fixture(scope="module")
@@ -196,24 +197,14 @@ def copied(drawn: tuple[Path, Night], tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("lost", archive.DRAWN)
-def test_a_product_that_cannot_be_written_takes_no_other_with_it(copied: Path, lost: str) -> None:
+def test_a_product_that_cannot_be_written_takes_no_other_with_it(copied: Path, lost: str, kinegraph: Command) -> None:
     (copied / lost).mkdir()
     with pytest.raises(archive.NightError, match=lost):
         draw(copied)
     assert all((copied / name).is_file() for name in archive.DRAWN if name != lost)
     if lost != "report.html":
         assert f"Could not be made: {lost}" in (copied / "report.html").read_text()
-    command = [
-        str(Path(sys.executable).parent / "kinegraph"),
-        "sleep",
-        "nights",
-        "report",
-        "last",
-        "--path",
-        str(copied.parent),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 2 and lost in done.stderr and "Traceback" not in done.stderr
+    refused(kinegraph("sleep", "nights", "report", "last", "--path", copied.parent), lost)
 
 
 @pytest.mark.parametrize("name", ["night_svg", "map_svg", "page_png"])
