@@ -11,6 +11,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
 OPERATORS ?= iir.Lowpass or threshold.Threshold or align.Align
 SEED ?= 1
+MYPY_NUM_WORKERS ?= 2
 BIN := .venv/bin
 
 # compiled modules are kept: without them every start of a command reads all of the source again (1.5 s of processor time)
@@ -23,7 +24,7 @@ demo: .venv/installed
 
 lint: .venv/installed-for-tests
 	$(BIN)/ruff check .
-	$(BIN)/mypy --num-workers 2
+	$(BIN)/mypy --num-workers $(MYPY_NUM_WORKERS)
 
 check: lint
 	$(BIN)/pytest -q tests/laws/test_laws.py -k "$(OPERATORS)"
