@@ -180,6 +180,7 @@ def test_left_stands_beside_right_and_stages_begin_and_end_from_the_page(browser
         browser.open(process.url)
         browser.value("document.documentElement.dataset.theme = 'light'")
         browser.wait("document.querySelector('.cycles')?.dataset.cycles > 4")
+        unfold(browser)
         words = "[...document.querySelectorAll('#controls .word button, #controls button.word')]"
         browser.value(f"{words}.find(b => b.textContent === 'end stage').click()")
         browser.wait("document.querySelector('.log').textContent.includes('end stage')")
@@ -209,6 +210,12 @@ def test_left_stands_beside_right_and_stages_begin_and_end_from_the_page(browser
     done = subprocess.run(verify, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "stages.stages: identical" in done.stdout + done.stderr
+
+
+def unfold(browser: LiveBrowser) -> None:
+    """Open what is folded into "signals", tables among it, on a screen on which all of it is in sight."""
+    browser.size(1280, 4000)
+    browser.value("document.querySelector('.signals').open = true")
 
 
 def beside(browser: LiveBrowser) -> None:
@@ -271,6 +278,7 @@ def test_repetitions_are_counted_activities_are_bars_and_clusters_have_colours(
         seen = [s for s in CALM if len(browser.like('[aria-label="repetitions by cluster"] canvas', s, within=2)) > 8]
         assert len(clusters) > 1 and len(seen) >= min(len(clusters), len(CALM)), "a colour for each cluster"
         assert len(browser.like('[aria-label="activities"] canvas', SHADES[0], within=2)) > 8
+        unfold(browser)
         browser.wait(f"document.querySelector('.table').dataset.rows === '{min(60, len(counts))}'")
         newest = browser.value(
             "(t => { const h = [...t.tHead.rows[0].cells].map(c => c.textContent);"
