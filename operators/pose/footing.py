@@ -29,7 +29,7 @@ TEXTS = {
     "stand": "stand still for a second, facing the camera",
     "follows": "calibrated; the avatar follows you",
     "lost": "the avatar follows with usual bone lengths; it was not calibrated",
-    "upper": "the legs are not seen: the avatar's legs rest; step back, to at least 2 m",
+    "upper": "the upper body is followed; for the legs too, step back to 2 m or more",
     "lying": "lying or bent down: arms and legs are unsure until the trunk is upright",
     "gone": "nobody is seen: the avatar keeps its pose",
 }
