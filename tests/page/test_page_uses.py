@@ -184,7 +184,10 @@ def test_left_stands_beside_right_and_stages_begin_and_end_from_the_page(browser
         words = "[...document.querySelectorAll('#controls .word button, #controls button.word')]"
         browser.value(f"{words}.find(b => b.textContent === 'end stage').click()")
         browser.wait("document.querySelector('.log').textContent.includes('end stage')")
-        browser.value("document.querySelector('#controls input[aria-label=stage]').focus()")
+        browser.value(
+            "(i => { i.closest('details')?.setAttribute('open', ''); i.focus(); })"
+            "(document.querySelector('#controls input[aria-label=stage]'))"
+        )
         browser.type("uphill\r")
         browser.wait("document.querySelector('.table table').textContent.includes('uphill')")
         before = browser.value("document.querySelector('.cycles').dataset.cycles")
@@ -215,7 +218,7 @@ def test_left_stands_beside_right_and_stages_begin_and_end_from_the_page(browser
 def unfold(browser: LiveBrowser) -> None:
     """Open what is folded into "signals", tables among it, on a screen on which all of it is in sight."""
     browser.size(1280, 4000)
-    browser.value("document.querySelector('.signals').open = true")
+    browser.value("document.querySelectorAll('.signals').forEach((d) => { d.open = true; })")
 
 
 def beside(browser: LiveBrowser) -> None:
