@@ -109,6 +109,15 @@ def test_a_repetition_of_less_than_half_of_the_usual_range_is_partial_and_is_not
     assert ("went less far than 50 %" in page) == (len(counted) == 2)
 
 
+def test_what_is_done_only_twice_is_no_set(tmp_path: Path) -> None:
+    parts = sets()
+    first = next(chunk for port, chunk in parts if port == "activity" and chunk.data["repeats"][0])
+    first.data["repetitions"] = 2
+    page, rows = report_of(tmp_path, parts)
+    assert len(rows) == 10 and "A set has 3 repetitions or more" in page
+    assert re.findall(r"<td>(\d+)</td><td class=.text.>(\w+)", page) == [("1", "squat")]
+
+
 def test_the_report_has_sets_repetitions_tempo_and_rest_and_a_row_for_each(tmp_path: Path) -> None:
     page, rows = report_of(tmp_path, sets())
     assert len(rows) == 10 and [row["exercise"] for row in rows] == ["arms"] * 5 + ["squat"] * 5
@@ -179,7 +188,7 @@ def test_a_second_report_takes_another_name_and_one_of_nothing_says_so(tmp_path:
 
 def test_hours_of_training_take_no_more_memory_than_one(tmp_path: Path) -> None:
     """The 500 sets that the page shows are kept with their repetitions, in less than a mebibyte; all are in the table."""
-    outlet = TrainingReport(path=str(tmp_path / "training.html"))
+    outlet = TrainingReport(path=str(tmp_path / "training.html"), min_repetitions=2)
     outlet.open({port: EVENTS[port] for port in outlet.inputs})
     outlet.begin()
     assert size_of(outlet.state.training) < 1 << 20

@@ -68,6 +68,24 @@ EXERCISES: dict[str, tuple[list[tuple[float, Posture]], float]] = {
 }
 LARGE = ("arm raises", "squats", "toe touches", "jumping jacks")
 SMALL = ("small side bends", "quarter squats", "wrist to shoulder, one arm")
+LEFT_OUT: dict[str, tuple[list[tuple[float, Posture]], float]] = {
+    # exercises that nothing is chosen by: made to judge with
+    "lunges": (
+        [
+            (0.25, {"hip_l": 1.2, "knee_l": 1.4, "hip_r": -0.2, "knee_r": 1.1}), (0.5, {}),
+            (0.75, {"hip_r": 1.2, "knee_r": 1.4, "hip_l": -0.2, "knee_l": 1.1}),
+        ],
+        4.0,
+    ),
+    "shoulder presses": ([(0.25, both(abduct=0.9, elbow=2.2)), (0.5, both(abduct=2.9)), (0.75, both(abduct=0.9, elbow=2.2))], 3.0),
+    "good mornings": ([(0.5, {"lean": 0.9, **both(flex=0.3, elbow=1.8)})], 2.8),
+    "one arm up": ([(0.5, {"flex_r": 2.8})], 2.0),
+    "leg to the side": ([(0.5, {"hip_out_r": 0.6})], 1.9),
+    "low arm raises": ([(0.5, both(abduct=0.55))], 1.7),
+    "heel to seat": ([(0.5, {"knee_l": 1.5})], 1.6),
+}  # fmt: skip
+LARGE_LEFT_OUT = ("lunges", "shoulder presses", "good mornings", "one arm up")
+SMALL_LEFT_OUT = ("leg to the side", "low arm raises", "heel to seat")
 
 
 @dataclass(slots=True)
@@ -215,6 +233,70 @@ class Person:
         self.to({}, 0.7)
         self._begun("talk", "everyday", start)
 
+    def telephone(self) -> None:
+        """Take a telephone, look at it, hold it to the ear, put it away. This and the next two are left out of every choice."""
+        side, start = self.rng.choice(["l", "r"]), self.time
+        look = {f"flex_{side}": 0.4, f"elbow_{side}": 1.7}
+        self.to(look, self.rng.uniform(0.8, 1.3))
+        for _ in range(int(self.rng.integers(0, 5))):
+            self.to({**look, f"elbow_{side}": self.rng.normal(1.7, 0.08), "head": -0.2}, self.rng.uniform(0.3, 0.8))
+            self.hold(self.rng.exponential(0.8))
+        ear = {f"flex_{side}": 0.5, f"abduct_{side}": 0.4, f"elbow_{side}": 2.5}
+        self.to(ear, self.rng.uniform(0.7, 1.1))
+        for _ in range(int(self.rng.integers(1, 5))):
+            self.hold(self.rng.uniform(0.8, 2.5))
+            self.to({**ear, "lean": self.rng.normal(0.0, 0.05), "head": self.rng.normal(0.0, 0.1)}, 0.6)
+        self.to({}, self.rng.uniform(0.8, 1.2))
+        self._begun("telephone", "everyday", start)
+
+    def tidy(self) -> None:
+        """Pick things up from the floor or a table and put them elsewhere."""
+        start = self.time
+        for _ in range(int(self.rng.integers(2, 6))):
+            side = self.rng.choice(["l", "r"])
+            low = self.rng.random() < 0.5
+            reach = {
+                f"flex_{side}": self.rng.uniform(0.8, 1.5),
+                f"abduct_{side}": self.rng.uniform(0.0, 0.5),
+                f"elbow_{side}": 0.2,
+            }
+            if low:
+                reach |= {
+                    "lean": self.rng.uniform(0.7, 1.2),
+                    **both(hip=self.rng.uniform(0.3, 1.0), knee=self.rng.uniform(0.3, 1.2)),
+                }
+            self.to(reach, self.rng.uniform(0.7, 1.5))
+            self.hold(self.rng.uniform(0.1, 0.5))
+            self.to(
+                {f"flex_{side}": 0.3, f"elbow_{side}": 1.4, "bend_side": self.rng.normal(0, 0.1)},
+                self.rng.uniform(0.6, 1.1),
+            )
+            self.to(
+                {f"flex_{side}": self.rng.uniform(0.6, 1.8), f"abduct_{side}": self.rng.uniform(0.0, 0.9)},
+                self.rng.uniform(0.6, 1.1),
+            )
+            self.to({}, self.rng.uniform(0.6, 1.1))
+        self._begun("tidy", "everyday", start)
+
+    def jacket(self) -> None:
+        """Put on a jacket and button it."""
+        start = self.time
+        for side, other in (("l", "r"), ("r", "l")):
+            self.to(
+                {f"abduct_{side}": self.rng.uniform(0.6, 1.2), f"flex_{side}": -0.3, f"elbow_{other}": 1.5},
+                self.rng.uniform(0.8, 1.4),
+            )
+            self.to(
+                {f"abduct_{side}": 0.9, f"elbow_{side}": 2.0, f"flex_{other}": 0.7, f"elbow_{other}": 2.1},
+                self.rng.uniform(0.7, 1.4),
+            )
+        for k in range(int(self.rng.integers(3, 6))):
+            at = both(flex=0.55 - 0.1 * k, elbow=1.75 - 0.1 * k)
+            for _ in range(int(self.rng.integers(2, 5))):
+                self.to({name: v + self.rng.normal(0.0, 0.05) for name, v in at.items()}, self.rng.uniform(0.2, 0.5))
+        self.to({}, self.rng.uniform(0.7, 1.2))
+        self._begun("jacket", "everyday", start)
+
     def walk(self, seconds: float) -> None:
         """Walk about, turning now and then."""
         start, stride_s = self.time, 1.12 / self.pace**0.5
@@ -250,7 +332,7 @@ class Person:
         size: float = 1.0,
     ) -> None:
         """A set: `drift`: how much slower the last repetition is, as a share; those numbered in `partial` go half as far."""
-        postures, takes_s = EXERCISES[name]
+        postures, takes_s = (EXERCISES | LEFT_OUT)[name]
         start, middles, ranges = self.time, [], []
         for k in range(count):
             takes = takes_s / self.pace * (1.0 + drift * k / max(1, count - 1)) * self.rng.normal(1.0, 0.05)

@@ -28,7 +28,15 @@ def _fact(key: str, value: Any) -> tuple[str, str]:
     return "simulated" if key == "simulated_sources" else key.replace("_", " "), words
 
 
-def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, table: str, full_share: float) -> str:
+def render(
+    title: str,
+    facts: Mapping[str, Any],
+    training: Training,
+    unit: str,
+    table: str,
+    full_share: float,
+    min_repetitions: int,
+) -> str:
     """The page's HTML. `unit`: of ranges and distances; `table`: the name of the CSV file beside it; `full_share`: as in `exercises`."""
     sets = exercises(training, full_share)
     lasted = (training.ended - training.began) / NS if training.began != NEVER else 0.0
@@ -51,6 +59,7 @@ def render(title: str, facts: Mapping[str, Any], training: Training, unit: str, 
         mean=lambda values: float(np.nanmean(values)) if np.isfinite(values).any() else np.nan,
         partial=any(one.partial for one in sets),
         full_share=f"{100 * full_share:.0f} %",
+        min_repetitions=min_repetitions,
         handed=any(one.symmetry for one in sets),
         sided=any(np.isfinite(one.alike) for one in sets),
         doubtful=any(one.doubtful for one in sets),

@@ -68,7 +68,8 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
 
     Any streams of events with the same fields will do. The page holds what each set was: exercise, repetitions, tempo and how even it
     was, range, how near to what was shown, how alike left and right were, the rest after it; and how duration and range went over the
-    session. Partial repetitions are listed apart, and not counted. The CSV file grows as repetitions become final: a crash leaves it.
+    session. Partial repetitions are listed apart, and not counted. What was done less often than `min_repetitions` in a row is no set: who
+    drinks twice does no exercise. The CSV file grows as repetitions become final: a crash leaves it.
     Memory is bounded, by 1 MB: the page shows the first 500 sets and 20 000 repetitions, and says so. Existing files are never overwritten.
     """
 
@@ -80,6 +81,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
     full_share: float = param(
         0.5, least=0.0, most=1.0, help="a repetition counts if it goes as far as this share of its set's median; 0: all"
     )
+    min_repetitions: int = param(3, least=1, help="a set has so many repetitions at least")
 
     def open(self, specs: Specs) -> Specs:
         wrong = check_path(Path(self.path))
@@ -127,7 +129,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
             training.ended = max(training.ended, int(chunk.time[-1]))
         kind = KINDS[port][0]
         for event in chunk.data:
-            if port != "activity" or event["repeats"]:
+            if port != "activity" or (event["repeats"] and event["repetitions"] >= self.min_repetitions):
                 take(training, kind, event)
         if port == "repetition" and len(chunk) and table:
             table.write(_lines([_row(event, training.began) for event in chunk.data]))
@@ -140,7 +142,13 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
                 write_complete(
                     page,
                     render(
-                        self.title, runtime.facts, state.training, runtime.unit, f"{page.stem}.csv", self.full_share
+                        self.title,
+                        runtime.facts,
+                        state.training,
+                        runtime.unit,
+                        f"{page.stem}.csv",
+                        self.full_share,
+                        self.min_repetitions,
                     ),
                 )
                 log.info("report written", page=str(page), table=f"{state.stem}.csv")
