@@ -384,7 +384,8 @@ class Tally:
         if item.idle_min or item.kind == "UTKinect":
             minutes = item.idle_min or len(item.features.data) / RATE / 60
             mine.setdefault("counts a minute", []).append(len(middles) / minutes)
-            mine.setdefault("in a report", []).append(in_sets(found, middles) / minutes)
+            if "walking" not in item.kind:  # which a report knows by its way, and leaves out
+                mine.setdefault("in a report", []).append(in_sets(found, middles) / minutes)
             for one in item.done:
                 within = ((middles >= one.start) & (middles < one.end)).sum()
                 mine.setdefault(f"  {one.label}", []).append(within / minutes * len(item.done) / 6)
