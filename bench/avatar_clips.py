@@ -135,7 +135,7 @@ def posed(markers: Samples, confidence: Samples, *, model: Path | None = PEOPLE)
     smooth.open({"in": spec})
     chunk = smooth.process("in", Chunk(times, markers, int(times[-1])))
     assert isinstance(chunk, Chunk)
-    pose = WholePose(up="-y", model=model, follow_hz=1.5)
+    pose = WholePose(up="-y", model=model, follow_hz=1.65)
     poses, joints, flags = np.empty((len(times), 91)), np.empty((len(times), 22, 3)), np.empty((len(times), 22))
     pose.open({"in": spec, "confidence": StreamSpec(confidence.shape[1:], rate_hz=30.0)})
     for i, time in enumerate(times.tolist()):

@@ -21,8 +21,9 @@ LEAP_M, LEAP_M_S, DOUBTED = 0.3, 8.0, 3
 """A marker farther from where it is expected than this, and this times the period, is not believed for this many samples."""
 EASES_S, EASES_M = 0.08, 1.0
 """A marker that is seen again is gone to by degrees, this quickly; not where it is farther away, or no marker was seen before."""
-FOLLOWS_S = 0.1
-"""A marker that is doubtful is followed this slowly: in the mean it is nearer to where it should be than any guess."""
+FOLLOWS_S, TRUSTS_S = 0.2, 0.3
+"""A marker is followed with the first as its time constant times the square of the doubt about it: in the mean it is nearer to where it
+should be than any guess. Doubt rises at once, and takes at least the second to fall from 1 to 0."""
 STILL_M = 0.12
 """Who stands for the calibration keeps hips, knees, ankles and shoulders within this distance."""
 NEEDED = 8
@@ -31,21 +32,22 @@ NEEDED = 8
 
 @kernel
 def gather(
-    row: Samples, sure: Array, columns: Times, axes: Times, signs: Samples, marks: Samples, seen: Array, hinted: Array,
-    counts: Samples,
+    row: Samples, sure: Samples, columns: Times, axes: Times, signs: Samples, marks: Samples, seen: Array, hinted: Array,
+    surest: Samples, counts: Samples,
 ) -> int:  # fmt: skip
     """Landmarks (m, 3) in metres, y up, from a sample `row` (width,); one that lacks a point is not `seen`. Returns how many are.
 
-    sure    (points,)  which points are sure; a landmark with another one is not seen, but only `hinted` at (m,)
+    sure    (points,)  how sure each point is, up to 1; a landmark with a point below that is not seen, but only `hinted` at (m,)
+    surest  (m,)       how sure each landmark is at most: as its least sure point
     """
     marks[:] = 0.0
     seen[:] = True
-    hinted[:] = False
+    surest[:] = 1.0
     counts[:] = 0.0
     for c in range(columns.shape[0]):
         k = columns[c, 3]
         counts[k] += 1.0
-        hinted[k] = hinted[k] or not sure[columns[c, 0] // 3]
+        surest[k] = min(surest[k], sure[columns[c, 0] // 3])
         for a in range(3):
             v = row[columns[c, axes[a]]]
             if v != v:
@@ -54,7 +56,7 @@ def gather(
     found = 0
     for k in range(marks.shape[0]):
         seen[k] = seen[k] and counts[k] > 0.0
-        hinted[k] = hinted[k] and seen[k]
+        hinted[k] = surest[k] < 1.0 and seen[k]
         if seen[k]:
             for a in range(3):
                 marks[k, a] /= counts[k]
@@ -89,6 +91,8 @@ def complete_marks(
     seen: Array,
     hinted: Array,
     present: Array,
+    surest: Samples,
+    trusts: Samples,
     doubts: Samples,
     eases: Samples,
     dt: float,
@@ -98,11 +102,12 @@ def complete_marks(
     ones, and whether any was in the sample before.
 
     before  (m, 3) where the landmarks were; a guess has moved with the trunk, and towards the marker where that is `hinted` at (m,)
+    surest (m,), trusts (m,)  how far each landmark is to be trusted at most, and is: less than 1 where it has been doubtful of late
     doubts  (m,)   for how many samples each has been doubted
-    eases  (m, 4)  how far each still is from its marker since it was seen again, and whether it was guessed in the sample before
+    eases  (m, 4)  how far each still is from its marker since it was seen again, and whether no marker showed it in the sample before
     """
     shift_of(marks, before, seen, shift)
-    ease, share, followed = math.exp(-dt / EASES_S), 1.0 - math.exp(-dt / FOLLOWS_S), 0
+    ease, followed = math.exp(-dt / EASES_S), 0
     for k in range(marks.shape[0]):
         followed += present[k] and eases[k, 3] == 0.0
     limit = LEAP_M + LEAP_M_S * dt
@@ -119,8 +124,15 @@ def complete_marks(
                 seen[k] = False
             else:
                 doubts[k] = 0.0
-        if seen[k]:
-            found += 1
+        trusts[k] = min(surest[k], trusts[k] + dt / TRUSTS_S)
+        found += seen[k]
+        if trusts[k] < 1.0 and (seen[k] or hinted[k]):
+            share = 1.0 - math.exp(-dt / (FOLLOWS_S * (1.0 - trusts[k]) ** 2))
+            for a in range(3):
+                expected = before[k, a] + shift[a]
+                marks[k, a] = expected + share * (marks[k, a] - expected)
+                eases[k, a] = 0.0
+        elif seen[k]:
             if eases[k, 3] > 0.0:
                 for a in range(3):
                     away = before[k, a] + shift[a] - marks[k, a]
@@ -130,9 +142,8 @@ def complete_marks(
                 marks[k, a] += eases[k, a]
         else:
             for a in range(3):
-                expected = before[k, a] + shift[a]
-                marks[k, a] = expected + share * (marks[k, a] - expected) if hinted[k] else expected
-        eases[k, 3] = 0.0 if seen[k] else 1.0
+                marks[k, a] = before[k, a] + shift[a]
+        eases[k, 3] = 0.0 if seen[k] or hinted[k] else 1.0
     return found, followed > 0
 
 

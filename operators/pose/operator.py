@@ -34,10 +34,11 @@ NOTES = ("left foot stands", "right foot stands", "calibrated", "outside")
 class WholePoseState:
     """What is remembered from one sample to the next; see `Solver`, and for `tally` (15,) operators/pose/upright.py.
 
-    doubtful  (points,)  which points were doubtful at the stamp `at` (1,)
+    sure  (points,)  how sure each point was at the stamp `at` (1,), up to 1
     """
 
     seen: Array
+    trusts: Samples
     doubts: Samples
     marks: Samples
     before: Samples
@@ -58,7 +59,7 @@ class WholePoseState:
     eases: Samples
     flags: Samples
     tally: Samples
-    doubtful: Array
+    sure: Samples
     at: Times
 
 
@@ -84,7 +85,8 @@ class _Solving(Operator[WholePoseState]):
 class WholePose(_Solving):
     """Markers of a body (points, 3) in; out comes the pose of a humanoid skeleton, at every sample, whatever the markers lack.
 
-    confidence  how sure each of the points is, 0 to 1, at the same stamps: one below `least` is followed slowly, and its bones are flagged
+    confidence  how sure each of the points is, 0 to 1, at the same stamps: one below `least` is followed the more slowly the less sure it
+                is, and its bones are flagged
 
     pose     root position and a quaternion for each of VRM's bones (stream/domain/skeleton.py, stream/domain/humanoid.py); never NaN
     joints   where the joints are with this body's bone lengths, (22, 3) m, y up
@@ -100,7 +102,7 @@ class WholePose(_Solving):
     not seen, or has leapt for less than three samples, is guessed: it moves with the trunk. A foot that is low and slow stands where it
     is until it is lifted. No bone turns faster than `turn_rad_s`. When nothing is seen the pose stays.
 
-    No delay; with `follow_hz` bones lag by 1 / (pi follow_hz) - 50 ms at rest, 30 ms in motion, guessed ones as at rest.
+    No delay; with `follow_hz` bones lag by 1 / (pi follow_hz) at rest and where they are guessed, in motion by 10 to 25 ms.
 
     Two-bone limbs after Tolani 2000; 6-D rotations after Zhou 2019; the regression is relative to the geometric pose.
 
@@ -170,13 +172,11 @@ class WholePose(_Solving):
         """Gather what the kernel works on: the state's arrays, which stay the same ones, and what does not change."""
         r, m = self.learned, len(NAMES)
         state = {
-            f.name: getattr(self.state, f.name)
-            for f in fields(WholePoseState)
-            if f.name not in ("tally", "doubtful", "at")
+            f.name: getattr(self.state, f.name) for f in fields(WholePoseState) if f.name not in ("tally", "sure", "at")
         }
         solver = Solver(
-            columns=columns, axes=axes, signs=signs, present=present, hinted=np.zeros(m, np.bool_), counts=np.zeros(m),
-            from_bone=FROM_BONE, bone_of=BONE_OF,
+            columns=columns, axes=axes, signs=signs, present=present, hinted=np.zeros(m, np.bool_), surest=np.ones(m), counts=np.zeros(m),
+            unsure=np.zeros(len(BONES)), from_bone=FROM_BONE, bone_of=BONE_OF,
             usual=r.tree.offsets, parents=r.tree.parents, learned=r.learned, work=np.zeros((9, 4)), **state,
         )  # fmt: skip
         object.__setattr__(self, "solver", solver)
@@ -185,11 +185,13 @@ class WholePose(_Solving):
         state = self.state
         if port == "confidence":
             if len(chunk.time):
-                state.doubtful[:], state.at[0] = (chunk.data[-1] > 0.0) & (chunk.data[-1] < self.least), chunk.time[-1]
+                given = chunk.data[-1]
+                state.sure[:] = np.where((given > 0.0) & (given < self.least), given / max(self.least, 1e-9), 1.0)
+                state.at[0] = chunk.time[-1]
             return []
         n, bones = len(chunk.time), len(BONES)
-        sure = np.ones((n, len(state.doubtful)), np.bool_)
-        sure[chunk.time == state.at[0]] = ~state.doubtful
+        sure = np.ones((n, len(state.sure)))
+        sure[chunk.time == state.at[0]] = state.sure
         pose, joints, quality = np.empty((n, 3 + 4 * bones)), np.empty((n, bones, 3)), np.empty((n, bones + len(NOTES)))
         if n:
             solve(
@@ -256,11 +258,12 @@ def start(tree: JointTree, points: int) -> WholePoseState:
     memory = np.zeros(9)
     memory[SIZE], memory[GROUND] = 1.0, np.inf
     return WholePoseState(
-        seen=np.zeros(m, np.bool_), doubts=np.zeros(m), marks=np.zeros((m, 3)), before=np.zeros((m, 3)), total=np.zeros((m, 3)),
+        seen=np.zeros(m, np.bool_), trusts=np.ones(m), doubts=np.zeros(m),
+        marks=np.zeros((m, 3)), before=np.zeros((m, 3)), total=np.zeros((m, 3)),
         offsets=tree.offsets.copy(), turns=still.copy(), turns_before=still.copy(), local=still.copy(), local_before=still.copy(),
         joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 22)), followed=still.copy(),
         speeds=np.zeros((bones, 3)), bends=np.zeros((4, 4)), head=np.zeros(11), eases=np.zeros((m, 4)), flags=np.ones(bones),
-        tally=np.zeros(15), doubtful=np.zeros(points, np.bool_), at=np.full(1, -1, np.int64),
+        tally=np.zeros(15), sure=np.ones(points), at=np.full(1, -1, np.int64),
     )  # fmt: skip
 
 

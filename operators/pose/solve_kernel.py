@@ -47,13 +47,14 @@ class Solver(NamedTuple):
     """What the kernel works on; m landmarks, 22 bones.
 
     columns  (k, 4)  columns of x, y and z of a point, and its landmark   axes, signs (3,)  which of these are x, y and z, and their scale
-    present  (m,)    which landmarks the stream has      seen (m,) which of them it shows now     hinted, doubts, counts (m,)
+    present  (m,)    which landmarks the stream has      seen (m,) which of them it shows now
+    hinted, surest, trusts, doubts, counts (m,)  as in `gather` and `complete_marks`
     marks, before, total (m, 3)  where landmarks are, where they were, their sum while standing
     from_bone (m, 3), bone_of (m,)  where landmarks are from which joint
     usual, offsets (22, 3)  the skeleton as given and as calibrated; parents (22,)
     turns, turns_before, local, local_before (22, 4)  rotations in the world and relative to parents; joints (22, 3)
     followed (22, 4), speeds (22, 3), bends (4, 4), head (11,)  how bones turn, limbs bend, and how the head is turned (steady_kernel)
-    eases (m, 4)  as in `complete_marks`
+    eases (m, 4)  as in `complete_marks`     flags, unsure (22,)  which bones are guessed, and how much, 0 to 1
     learned  the regression; without one there are no centres
     """
 
@@ -63,6 +64,8 @@ class Solver(NamedTuple):
     present: Array
     seen: Array
     hinted: Array
+    surest: Samples
+    trusts: Samples
     doubts: Samples
     counts: Samples
     marks: Samples
@@ -88,6 +91,7 @@ class Solver(NamedTuple):
     head: Samples
     eases: Samples
     flags: Samples
+    unsure: Samples
     work: Samples
 
 
@@ -141,14 +145,14 @@ def begin(s: Solver, found: int) -> bool:
 
 
 @kernel
-def believe(row: Samples, sure: Array, dt: float, frames: int, s: Solver) -> bool:
+def believe(row: Samples, sure: Samples, dt: float, frames: int, s: Solver) -> bool:
     """The landmarks of a sample into `marks`, with guesses for those that are not seen; returns whether there is anything to go by."""
-    found = gather(row, sure, s.columns, s.axes, s.signs, s.marks, s.seen, s.hinted, s.counts)
+    found = gather(row, sure, s.columns, s.axes, s.signs, s.marks, s.seen, s.hinted, s.surest, s.counts)
     if s.memory[STARTED] == 0.0 and not begin(s, found):
         return False
     found, followed = complete_marks(
-        s.marks, s.before, s.seen, s.hinted, s.present, s.doubts, s.eases, dt, s.work[0, :3]
-    )
+        s.marks, s.before, s.seen, s.hinted, s.present, s.surest, s.trusts, s.doubts, s.eases, dt, s.work[0, :3]
+    )  # fmt: skip
     s.memory[LEAPT] = 0.0 if followed else 1.0
     s.before[:] = s.marks
     if s.memory[CALIBRATED] == 0.0 and frames and found:
@@ -162,26 +166,33 @@ def believe(row: Samples, sure: Array, dt: float, frames: int, s: Solver) -> boo
 
 @kernel
 def flag(s: Solver) -> None:
-    """Which bones are guessed, into `flags` (22,): those of which a marker that the stream has was not seen."""
-    flags = s.flags
-    flags[:] = 0.0
+    """Which bones are guessed, into `flags` (22,): those of which a marker that the stream has was not seen; how unsure they are."""
+    for k in range(s.counts.shape[0]):
+        s.counts[k] = 1.0 if s.present[k] and not s.seen[k] else 0.0
+    worst_of_limbs(s.counts, s.flags)
+    for k in range(s.counts.shape[0]):
+        if s.present[k] and (s.seen[k] or s.hinted[k]):
+            s.counts[k] = 1.0 - s.trusts[k]
+    worst_of_limbs(s.counts, s.unsure)
+
+
+@kernel
+def worst_of_limbs(marks: Samples, bones: Samples) -> None:
+    """For each bone, into `bones` (22,), the largest of the numbers of its limb's `marks` (m,)."""
+    bones[:] = 0.0
     for side in range(2):
         for a in range(3):
-            at = SHOULDER_AT + 2 * a + side
-            if s.present[at] and not s.seen[at]:
-                for bone in range(ARM - 1 if a == 0 else ARM, HAND + 1 if a == 2 else HAND):
-                    flags[bone + SIDE * side] = 1.0
-            at = HIP_AT + 2 * a + side
-            if s.present[at] and not s.seen[at]:
-                for bone in range(THIGH, FOOT + 2 if a == 2 else FOOT):
-                    flags[bone + SIDE * side] = 1.0
-                if a == 0:
-                    flags[HIPS] = 1.0
-        if s.present[SHOULDER_AT + side] and not s.seen[SHOULDER_AT + side]:
-            for bone in range(HIPS + 1, NECK):
-                flags[bone] = 1.0
-    if s.present[HEAD_AT] and not s.seen[HEAD_AT]:
-        flags[NECK] = flags[HEAD] = 1.0
+            worst = marks[SHOULDER_AT + 2 * a + side]
+            for bone in range(ARM - 1 if a == 0 else ARM, HAND + 1 if a == 2 else HAND):
+                bones[bone + SIDE * side] = max(bones[bone + SIDE * side], worst)
+            worst = marks[HIP_AT + 2 * a + side]
+            for bone in range(THIGH, FOOT + 2 if a == 2 else FOOT):
+                bones[bone + SIDE * side] = max(bones[bone + SIDE * side], worst)
+            if a == 0:
+                bones[HIPS] = max(bones[HIPS], worst)
+        for bone in range(HIPS + 1, NECK):
+            bones[bone] = max(bones[bone], marks[SHOULDER_AT + side])
+    bones[NECK] = bones[HEAD] = marks[HEAD_AT]
 
 
 @kernel
@@ -198,7 +209,7 @@ def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float, rest_
     if first:
         s.followed[:] = s.turns
     if rest_rad_s > 0.0:
-        follow_turns(s.flags, dt, rest_rad_s, s.followed, s.speeds, s.turns, s.work)
+        follow_turns(s.unsure, dt, rest_rad_s, s.followed, s.speeds, s.turns, s.work)
     elif first or s.memory[LEAPT] > 0.0:
         s.speeds[:] = 0.0
     else:
@@ -214,11 +225,11 @@ def move(s: Solver, dt: float, first: bool, feet: bool, turn_rad_s: float, rest_
 
 @kernel
 def solve(
-    rows: Samples, sure: Array, time: Times, s: Solver, frames: int, feet: bool, turn_rad_s: float, rest_rad_s: float,
+    rows: Samples, sure: Samples, time: Times, s: Solver, frames: int, feet: bool, turn_rad_s: float, rest_rad_s: float,
     poses: Samples, joints: Samples, quality: Samples,
 ) -> None:  # fmt: skip
     """Poses (n, 3 + 4 * 22), joints (n, 22, 3) and what is known of them (n, 22 + 4) of the samples `rows` (n, width), of
-    which the points `sure` (n, points) are to be trusted."""
+    which each point is to be trusted as `sure` (n, points) says, from 0 to 1."""
     for i in range(rows.shape[0]):
         now = time[i] * 1e-9
         dt = min(max(now - s.memory[LAST], STEPS_S[0]), STEPS_S[1])

@@ -37,9 +37,11 @@ SHRUNK, STRETCHED = 0.5, 1.5
 """Nose and ears that are not as far apart as when the body was calibrated, by these factors, do not show where the head is turned."""
 MOST_RAD_S2 = 80.0
 """Limbs of people hardly ever turn faster or slower by more than this within a second: 1 % of the frames of motion capture at 30 Hz."""
-FASTER, STIFFEST, LEAD_S = 16.0, 24.0, 0.05
-"""A bone that is seen follows at a rate that rises by the first for each rad/s of its turn, up to the second (1/s). Every bone is shown
-where it will be after the third, which takes back most of what it lags in motion."""
+STIFFER, STIFFEST = 120.0, 50.0
+"""A bone follows at a rate that rises by the first for each rad between it and where it is wanted, up to the second (1/s)."""
+LEADS, LEAD_S, MOVES_RAD_S = 0.7, 0.05, 0.3
+"""A bone that moves, at about the third or faster, is shown where it will be after the first's share of the time by which it lags, at most
+the second."""
 LEVEL, TURN, AWAY, KNOWN, NOSE_M, EARS_M = 0, 1, 5, 8, 9, 10
 """Places in `head` (11,): by how much its markers look up when it is level; its rotation as seen from the chest; how far the markers have
 been from that of late (3,); whether there is one; how far the nose is from the ears' middle, and these from each other."""
@@ -173,11 +175,13 @@ def steady_head(turns: Samples, dt: float, shown: bool, standing: float, head: S
 
 @kernel
 def follow_turns(
-    flags: Samples, dt: float, rest_rad_s: float, followed: Samples, speeds: Samples, turns: Samples, work: Samples
+    unsure: Samples, dt: float, rest_rad_s: float, followed: Samples, speeds: Samples, turns: Samples, work: Samples
 ) -> None:
-    """Let every bone follow as on a spring that is critically damped, the stiffer the faster it turns: still at rest, in time in motion.
+    """Let every bone follow as on a spring that is critically damped, the stiffer the farther it lags: still at rest, in time in motion.
 
-    flags     (22,)    which bones are guessed: their speed shows nothing   rest_rad_s  the rate of a bone at rest
+    Neither how far nor how fast shows anything of a bone that is unsure: it follows as at rest.
+
+    unsure    (22,)    how doubtful the markers of each are, 0 to 1   rest_rad_s  the rate of a bone at rest
     followed  (22, 4)  where the springs have brought the bones; turns (22, 4) as wanted, then as taken: ahead by what the springs lag
     speeds    (22, 3)  their angular velocity (rad/s, in the axes of the bone)   work (1, 4) room
     """
@@ -186,9 +190,8 @@ def follow_turns(
         sign = -1.0 if work[0, 0] < 0.0 else 1.0
         sine = math.sqrt(work[0, 1] ** 2 + work[0, 2] ** 2 + work[0, 3] ** 2)
         to_angle = 2.0 * sign * math.atan2(sine, abs(work[0, 0])) / sine if sine > 1e-12 else 0.0
-        rate = rest_rad_s
-        if flags[b] == 0.0:
-            rate = max(rate, min(rate + FASTER * math.sqrt(dot(speeds[b], speeds[b])), STIFFEST))
+        sure = 1.0 - unsure[b]
+        rate = rest_rad_s + sure * min(STIFFER * abs(to_angle) * sine, max(STIFFEST - rest_rad_s, 0.0))
         left = math.exp(-rate * dt)
         for a in range(3):
             away = -to_angle * work[0, 1 + a]
@@ -196,7 +199,9 @@ def follow_turns(
             work[0, 1 + a] = (away + pull * dt) * left - away
             speeds[b, a] = (speeds[b, a] - rate * pull * dt) * left
         turn_by(followed[b], work[0, 1:], 1.0, followed[b], work[0])
-        turn_by(followed[b], speeds[b], LEAD_S, turns[b], work[0])
+        fast = dot(speeds[b], speeds[b])
+        lead = sure * min(2.0 * LEADS / rate, LEAD_S) * fast / (fast + MOVES_RAD_S**2)
+        turn_by(followed[b], speeds[b], lead, turns[b], work[0])
 
 
 @kernel

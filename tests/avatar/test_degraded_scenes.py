@@ -185,7 +185,7 @@ class AvatarChain:
             marks = self.surer.open({"first": first, "second": marks})["out"]
             self.filters.append(OneEuro(cutoff_hz=1.0, beta=10.0))
             marks = self.filters[0].open({"in": marks})["out"]
-        self.pose, self.footing = WholePose(up="-y", follow_hz=1.5), Footing()
+        self.pose, self.footing = WholePose(up="-y", follow_hz=1.65), Footing()
         self.footing.open(dict(self.pose.open({"in": marks})))
         seeing = [self.network, self.markers, self.surer, *self.filters] if network else []
         self.operators: list[Any] = [self.background, self.persons, self.extrema, *seeing, self.pose, self.footing]

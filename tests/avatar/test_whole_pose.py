@@ -112,6 +112,35 @@ def test_a_doubtful_marker_is_followed_slowly_and_its_bones_are_flagged() -> Non
     assert flags["doubtful"][61:].all() and not flags["doubtful"][:60].any() and not flags["sure"].any()
 
 
+def followed_by(confidence: Samples) -> Samples:
+    """How far (m) the left hand is, in 30 frames, from where it was before its marker went aside by .2 m, of this confidence (30,)."""
+    x = marks(USUAL, np.repeat(POSES[:1], 90, axis=0))
+    x[60:, USUAL.index("wrist_l")] += [0.0, 0.15, 0.13]
+    operator, trust = WholePose(), np.ones(len(USUAL))
+    operator.open({
+        "in": StreamSpec((len(USUAL), 3), rate_hz=RATE, channels=USUAL, units=("m",)),
+        "confidence": StreamSpec((len(USUAL),), rate_hz=RATE, channels=USUAL),
+    })  # fmt: skip
+    places = []
+    for i, time in enumerate(grid(RATE, 90).tolist()):
+        trust[USUAL.index("wrist_l")] = confidence[max(0, i - 60)]
+        operator.process("confidence", Chunk(np.array([time]), trust[None].copy(), time))
+        made = dict(operator.process("in", Chunk(np.array([time]), x[i : i + 1].reshape(1, -1), time)))
+        places.append(made["joints"].data[0, BONES.index("LeftHand")])
+    return np.linalg.norm(np.array(places[60:]) - places[59], axis=1)
+
+
+def test_the_surer_a_marker_is_the_sooner_it_is_followed() -> None:
+    doubtful, nearly, sure = (followed_by(np.full(30, c)) for c in (0.05, 0.45, 1.0))
+    assert nearly[4] > 0.95 * sure[4] and doubtful[4] < 0.7 * sure[4] and doubtful[29] > 0.9 * sure[29]
+
+
+def test_a_marker_of_which_a_network_is_sure_for_single_frames_is_not_leapt_to() -> None:
+    flickers = np.full(30, 0.05)
+    flickers[3::4] = 0.9
+    assert np.diff(followed_by(flickers))[2:].max() < 0.03
+
+
 def test_confidence_of_other_points_is_refused() -> None:
     spec = StreamSpec((len(USUAL), 3), rate_hz=RATE, channels=USUAL, units=("m",))
     with pytest.raises(InputError, match="each of the 13 points"):
