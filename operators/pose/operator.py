@@ -58,6 +58,7 @@ class WholePoseState:
     head: Samples
     eases: Samples
     flags: Samples
+    unsure: Samples
     tally: Samples
     sure: Samples
     at: Times
@@ -176,7 +177,7 @@ class WholePose(_Solving):
         }
         solver = Solver(
             columns=columns, axes=axes, signs=signs, present=present, hinted=np.zeros(m, np.bool_), surest=np.ones(m), counts=np.zeros(m),
-            unsure=np.zeros(len(BONES)), from_bone=FROM_BONE, bone_of=BONE_OF,
+            from_bone=FROM_BONE, bone_of=BONE_OF,
             usual=r.tree.offsets, parents=r.tree.parents, learned=r.learned, work=np.zeros((9, 4)), **state,
         )  # fmt: skip
         object.__setattr__(self, "solver", solver)
@@ -263,7 +264,7 @@ def start(tree: JointTree, points: int) -> WholePoseState:
         offsets=tree.offsets.copy(), turns=still.copy(), turns_before=still.copy(), local=still.copy(), local_before=still.copy(),
         joints=tree.at_rest.copy(), left=np.array([1.0, 0.0, 0.0]), memory=memory, feet=np.zeros((2, 22)), followed=still.copy(),
         speeds=np.zeros((bones, 3)), bends=np.zeros((4, 4)), head=np.zeros(11), eases=np.zeros((m, 4)), flags=np.ones(bones),
-        tally=np.zeros(15), sure=np.ones(points), at=np.full(1, -1, np.int64),
+        unsure=np.zeros(bones), tally=np.zeros(15), sure=np.ones(points), at=np.full(1, -1, np.int64),
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from kinegraph.operators.pose.limb_kernel import (
     length_of,
     place_from,
 )
-from kinegraph.operators.pose.marks_kernel import complete_marks, gather, scale_body, stand
+from kinegraph.operators.pose.marks_kernel import TRUSTS_S, complete_marks, gather, scale_body, stand
 from kinegraph.operators.pose.motion_kernel import limit_turns, put_feet, same_signs
 from kinegraph.operators.pose.prior_kernel import features_of, geometric_prior, heading, middles, trained_prior
 from kinegraph.operators.pose.regions_kernel import Corrections, regional_of, regress
@@ -165,21 +165,23 @@ def believe(row: Samples, sure: Samples, dt: float, frames: int, s: Solver) -> b
 
 
 @kernel
-def flag(s: Solver) -> None:
-    """Which bones are guessed, into `flags` (22,): those of which a marker that the stream has was not seen; how unsure they are."""
+def flag(s: Solver, dt: float) -> None:
+    """Which bones are guessed, into `flags` (22,): those of which a marker that the stream has was not seen; and how unsure they are."""
     for k in range(s.counts.shape[0]):
         s.counts[k] = 1.0 if s.present[k] and not s.seen[k] else 0.0
+    s.flags[:] = 0.0
     worst_of_limbs(s.counts, s.flags)
     for k in range(s.counts.shape[0]):
         if s.present[k] and (s.seen[k] or s.hinted[k]):
             s.counts[k] = 1.0 - s.trusts[k]
+    for b in range(s.unsure.shape[0]):
+        s.unsure[b] = max(0.0, s.unsure[b] - dt / TRUSTS_S)
     worst_of_limbs(s.counts, s.unsure)
 
 
 @kernel
 def worst_of_limbs(marks: Samples, bones: Samples) -> None:
-    """For each bone, into `bones` (22,), the largest of the numbers of its limb's `marks` (m,)."""
-    bones[:] = 0.0
+    """For each bone, into `bones` (22,), the largest of the numbers of its limb's `marks` (m,), where that is larger."""
     for side in range(2):
         for a in range(3):
             worst = marks[SHOULDER_AT + 2 * a + side]
@@ -192,7 +194,8 @@ def worst_of_limbs(marks: Samples, bones: Samples) -> None:
                 bones[HIPS] = max(bones[HIPS], worst)
         for bone in range(HIPS + 1, NECK):
             bones[bone] = max(bones[bone], marks[SHOULDER_AT + side])
-    bones[NECK] = bones[HEAD] = marks[HEAD_AT]
+    for bone in range(NECK, HEAD + 1):
+        bones[bone] = max(bones[bone], marks[HEAD_AT])
 
 
 @kernel
@@ -236,7 +239,7 @@ def solve(
         first = s.memory[STARTED] == 0.0
         s.memory[LAST] = now
         moved = believe(rows[i], sure[i], dt, frames, s)
-        flag(s)
+        flag(s, dt)
         if moved:
             s.memory[OUTSIDE] = 0.0
             move(s, dt, first, feet, turn_rad_s, rest_rad_s)

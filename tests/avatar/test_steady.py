@@ -81,6 +81,15 @@ def test_a_marker_that_is_seen_again_is_gone_to_by_degrees() -> None:
     assert np.abs(np.diff(arm[110:130], axis=0)).max() < np.degrees(2 * 80.0 / RATE**2), "faster than limbs turn"
 
 
+def test_a_bone_that_is_seen_again_is_not_thrown_to_where_it_is() -> None:
+    x = marks(USUAL, np.repeat(POSES[:1], 150, axis=0))
+    x[70:100, [USUAL.index("wrist_l"), USUAL.index("elbow_l")]] = np.nan
+    x[100:, USUAL.index("wrist_l")] += [0.1, 0.25, 0.1]
+    x[100:, USUAL.index("elbow_l")] += [0.05, 0.15, 0.0]
+    arm = turned_by(shown(x, USUAL))[:, BONES.index("LeftUpperArm")]
+    assert np.abs(np.diff(arm[95:])).max() < 5.0 and arm[95:].sum() > 20.0
+
+
 def test_the_head_is_level_for_whoever_was_calibrated_with_a_nose_below_the_ears() -> None:
     x = marks(FACE, np.repeat(POSES[:1], 90, axis=0))
     x[:, FACE.index("nose"), 1] -= 0.05
