@@ -226,7 +226,7 @@ def half_repetitions(suffix: str, first: int, exercises: Iterable[str], draws: i
 
 
 KINDS = (("", 0, EXERCISES, LARGE, SMALL), (", left out", 10000, LEFT_OUT, LARGE_LEFT_OUT, SMALL_LEFT_OUT))
-"""What follows a set's name, its people, its exercises; with those of the first rules were chosen, with the others none."""
+"""What follows a set's name, its people, its exercises; rules were chosen with the first ones only."""
 
 
 def everyday(draw: int, *, left_out: bool = False) -> Item:
