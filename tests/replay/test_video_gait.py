@@ -23,6 +23,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "configs" / "video_gait.yaml"
 CAMERA = """  camera:
     use: devices.cameras.video.Video
     realtime: false                # a file is read as fast as the network takes it
+    shows: walker                  # with --simulate
 
   network:
     use: operators.body.camera.image_pose.ImagePose

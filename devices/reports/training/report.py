@@ -81,7 +81,7 @@ class TrainingReport(Outlet[TrainingState, TrainingRuntime]):
     full_share: float = param(
         0.5, least=0.0, most=1.0, help="a repetition counts if it goes as far as this share of its set's median; 0: all"
     )
-    min_repetitions: int = param(3, least=1, help="a set has so many repetitions at least")
+    min_repetitions: int = param(3, least=1, help="fewer repetitions in a row are no set")
 
     def open(self, specs: Specs) -> Specs:
         wrong = check_path(Path(self.path))

@@ -15,7 +15,7 @@ from kinegraph.operators.segmentation.kernels.distances import (
 )
 from kinegraph.operators.segmentation.kernels.division import hold, let_go, number_of
 from kinegraph.operators.segmentation.kernels.events import stamp, tell
-from kinegraph.operators.segmentation.kernels.final import how, stretch, tell_start
+from kinegraph.operators.segmentation.kernels.final import how, settle, stretch, tell_start
 from kinegraph.operators.segmentation.kernels.gestures import believe_behind, watch_returns
 from kinegraph.operators.segmentation.kernels.layout import (
     BELIEVED_EVENT,
@@ -23,7 +23,7 @@ from kinegraph.operators.segmentation.kernels.layout import (
     Memory,
 )
 from kinegraph.operators.segmentation.kernels.provisional import conclude, foresee, give_up, keep_count, look_ahead
-from kinegraph.operators.segmentation.kernels.repetitions import accept, explore, search_from, settle_last, take_up
+from kinegraph.operators.segmentation.kernels.repetitions import accept, explore, search_from, take_up
 from kinegraph.operators.segmentation.kernels.rest import (
     at_rest,
     choose_peak,
@@ -246,7 +246,7 @@ def finish(s: Memory, forced: bool) -> None:
     if s.best_end >= 0 and s.is_tracking and s.best_start <= last:
         accept(s)
     if s.is_pending:
-        settle_last(s, min(s.pending_to, last))
+        settle(s, min(s.pending_to, last))
     close_bout(s)
     conclude(s, s.cycles + s.outings + believe_behind(s, last))
     forget_returns(s)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from kinegraph.operators.segmentation.kernels.cycles import GAIN, advance, columns, travel
-from kinegraph.operators.segmentation.kernels.layout import ALIKE, Memory
+from kinegraph.operators.segmentation.kernels.layout import Memory
 from kinegraph.stream.kernel import kernel
 
 
@@ -37,7 +35,7 @@ def recognise(s: Memory, first: int, last: int, length: int) -> tuple[int, int]:
         size = s.exemplar_sizes[slot]
         if s.cluster_numbers[slot] >= 0 and size * 3 <= length * 4 and length * 3 <= size * 4:
             mean, start = fit(s, slot, first, last, False)
-            if mean < best and mean <= ALIKE * s.spreads[slot]:
+            if mean < best:
                 best, found, met = mean, slot, start
     return found, met
 
@@ -57,29 +55,9 @@ def keep(s: Memory, first: int, length: int) -> int:
     s.exemplar_sizes[slot], s.cluster_numbers[slot] = length, s.next_cluster
     s.leads[slot] = 0.0
     s.travels[slot] = travel(s, first, first + length - 1, length)
-    s.spreads[slot] = spread(s, slot)
     s.next_cluster += 1
     use(s, slot)
     return slot
-
-
-@kernel
-def spread(s: Memory, slot: int) -> float:
-    """How far the exemplar's frames lie from their mean, per feature: root of the mean square, over what is known."""
-    squares, count = 0.0, 0
-    for d in range(s.frames.shape[0]):
-        total, n = 0.0, 0
-        for c in range(s.exemplar_sizes[slot]):
-            v = s.exemplars[slot, d, c]
-            if not math.isnan(v):
-                total += v
-                n += 1
-        for c in range(s.exemplar_sizes[slot]):
-            v = s.exemplars[slot, d, c]
-            if not math.isnan(v):
-                squares += (v - total / n) ** 2
-        count += n
-    return math.sqrt(squares / count) if count else 0.0
 
 
 @kernel

@@ -8,7 +8,6 @@ import numpy as np
 
 from kinegraph.operators.segmentation.kernels.distances import scaled
 from kinegraph.operators.segmentation.kernels.layout import (
-    ALIKE,
     Memory,
 )
 from kinegraph.operators.segmentation.kernels.rest import reported_at_rest
@@ -191,11 +190,10 @@ def travel(s: Memory, first: int, last: int, length: int) -> float:
 
 @kernel
 def trusted(s: Memory) -> float:
-    """How far a repetition may lie from its exemplar: ALIKE of its spread, until SURE have shown how far theirs do; then STRAYS times
-    that."""
+    """How far a repetition may lie from its exemplar: TRUSTS radii, and as soon as SURE have shown how far theirs do, STRAYS times that."""
     radius = s.radius
     if s.like_count < SURE:
-        return float(ALIKE * s.spreads[s.slot])
+        return float(TRUSTS * radius)
     return float(min(TRUSTS * radius, max(STRAYS * s.farthest, SAME * radius)))
 
 

@@ -142,8 +142,6 @@ NOISE = 1.5
 """Noise is this many times the squares of what frames differ by from one to the next: more than once, as it adds up to more at times."""
 TRAVELS = 0.5
 """A repetition moves at least this share of how far its exemplar does, from stride to stride: who stands, repeats nothing."""
-ALIKE = 0.8
-"""A repetition lies nearer to its exemplar than this share of the exemplar's spread: exercise comes back to .1 to .6 of it."""
 
 (
     ACTIVITY_EVENT, PRIMITIVE_EVENT, BEGIN_EVENT, COUNT_EVENT, MERGE_EVENT, RADIUS_EVENT, BELIEVED_EVENT, BOUT_EVENT,
@@ -183,7 +181,6 @@ class Remembered(Numbers):
     steps      (rest,)             mean square of how much each of them differs from the one before it; NaN: nothing is known of both
     moves      (ring,)             how much each frame moves: see `moved` in rest.py; negative: in a rest that was reported
     travels    (slots,)            how far the exemplars move, from stride to stride
-    spreads    (slots,)            how far the exemplars' frames lie from their mean
     kinds      (4,)                repetitions of the open activity by their symmetry
     counted    (8,)                the count reported last, by activity modulo 8, until that is final
     spans      (64, 4)             what was reported last of a repetition: activity, number, onset and end
@@ -212,7 +209,6 @@ class Remembered(Numbers):
     steps: Samples
     moves: Samples
     travels: Samples
-    spreads: Samples
     kinds: Times
     counted: Times
     spans: Times
@@ -273,7 +269,6 @@ def allocate(
         steps=np.full(frames["rest"], np.nan),
         moves=np.zeros(ring),
         travels=np.zeros(MOST_CLUSTERS),
-        spreads=np.zeros(MOST_CLUSTERS),
         kinds=np.zeros(4, np.int64),
         counted=np.zeros(8, np.int64),
         spans=np.full((64, 4), -1, np.int64),

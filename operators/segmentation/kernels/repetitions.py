@@ -109,21 +109,12 @@ def pursue(s: Memory, i: int) -> None:
     if i - since <= slack(length) + LONGEST * length + patience(length):
         return
     if s.is_pending:  # whatever path is under way, it started more than a cycle after the pending repetition's end
-        settle_last(s, s.pending_to)
+        settle(s, s.pending_to)
     close_bout(s)
     if s.best_end < 0:
         search_from(s, max(s.pieces_from, i - s.max_lag))
         for j in range(s.origin, i + 1):
             sum_up(s, j)
-
-
-@kernel
-def settle_last(s: Memory, last: int) -> None:
-    """No other repetition of its cycle follows the pending one: it is reported, unless it is the activity's only one."""
-    if s.count > 1:
-        settle(s, last)
-    else:
-        s.is_pending, s.count, s.cluster = False, 0, -1
 
 
 @kernel
