@@ -32,11 +32,11 @@ check: lint
 
 test: .venv/installed-for-tests
 	$(BIN)/kinegraph dev compile operators
-	$(BIN)/pytest -n 3 --dist loadgroup
+	$(BIN)/pytest -n 4 --dist loadgroup
 
 nightly: .venv/installed-for-tests
 	$(BIN)/kinegraph dev compile operators
-	KINEGRAPH_FUZZ_S=$(FUZZ_S) KINEGRAPH_EXAMPLES=50 $(BIN)/pytest -n 3 --dist loadgroup -m "nightly or not nightly"
+	KINEGRAPH_FUZZ_S=$(FUZZ_S) KINEGRAPH_EXAMPLES=50 $(BIN)/pytest -n 4 --dist loadgroup -m "nightly or not nightly"
 
 # line and branch coverage, by folder; of everything (an hour), or of some: make coverage TESTS=tests/outlets
 TESTS ?= tests
