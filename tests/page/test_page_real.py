@@ -130,10 +130,9 @@ def opened(walked: Path, browser: LiveBrowser, tmp_path_factory: pytest.TempPath
 @pytest.fixture
 def page(opened: LiveBrowser) -> LiveBrowser:
     """The recording as it opens: the first two seconds."""
-    opened.value("location.reload()")
-    opened.wait(
-        "document.body?.dataset.state === 'recording' && +document.querySelector('.signal')?.dataset.points > 1900"
-    )
+    opened.value("window.before = true; location.reload()")
+    opened.wait("!window.before && document.body.dataset.state === 'recording'")
+    opened.wait("+document.querySelector('.signal')?.dataset.points > 1900")
     light(opened)
     opened.wait("+document.body.dataset.drawn > 5")
     return opened
