@@ -76,7 +76,7 @@ class Bodies:
     def take(self, k: int, part: tuple[slice, slice], depth: Samples, rise: float) -> None:
         """Start counting from `depth` (rows, columns) in the `part` of an occupied region with unknown empty depth.
 
-        What stands out of the plane in which the bed lay before the camera was moved says whether these are two. A region that is found
+        What stands out of the plane in which the bed lay before the camera was moved shows whether these are two. A region that is found
         again may be smaller or larger: one body is as many blocks as it was, and so another share of it.
         """
         if np.isfinite(self.taken[part]).any():

@@ -85,7 +85,7 @@ def outside(places: Samples, camera: Samples, shape: tuple[int, ...]) -> NDArray
 def beside(points: Samples, place: Samples, camera: Samples, near_m: float) -> bool:
     """Whether the camera, `camera` (4,) as in `outside`, sees no surface of the body within `near_m` of `place` (3,) across its image.
 
-    `points` (h, w, 3) are that surface. What is not known lies beside nothing.
+    `points` (h, w, 3) are that surface. False for a place that is not known.
     """
     if not np.isfinite(place).all():
         return False

@@ -25,7 +25,7 @@ FORGET_S = 3.0
 LEAP_MM = 500.0
 """What comes from the image's border and is this much nearer than the person was there is something else that hides the person."""
 LACKS = 0.8
-"""Of who keeps less than this share of the pixels of the frame before, a part that nobody owns, and would make up for them, is torn off."""
+"""A person that keeps less than this share of the pixels of the frame before takes a part without an owner that makes up for them."""
 
 
 @dataclass(slots=True)
@@ -157,8 +157,8 @@ class Persons(Operator[PersonsState]):
         for k in sorted(range(1, count + 1), key=lambda k: (-int(sizes[k]), k)):
             if sizes[k] < least or owners[k].any():
                 continue
-            if (whose := self._torn_off(int(sizes[k]), middles[k], sizes @ owners[:, 1:])) >= 0:
-                owners[k, 1 + whose] = 1
+            if (owner := self._torn_off(int(sizes[k]), middles[k], sizes @ owners[:, 1:])) >= 0:
+                owners[k, 1 + owner] = 1
                 continue
             idle = owners[:, 1:].sum(axis=0) == 0
             free = np.flatnonzero(idle & ((s.seen == 0) | (time - s.seen > FORGET_S * NS)))

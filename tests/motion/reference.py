@@ -15,7 +15,7 @@ import numpy as np
 Event = tuple[Any, ...]
 KNOWN, SHARED, FAR, CALM, LEAST, STILL, NOISE, TRAVELS = 2, 4, 100.0, 3.0, 0.02, 0.12, 1.5, 0.5
 SURE, STRAYS, SAME, HOLE = 3, 4.0, 0.4, 8
-DIP, RETURNS, SEEN, LEAVES, GAIN, TRUSTS, SAMPLED, MOST_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 1.25, 64, 32
+DIP, RETURNS, SEEN, LEAVES, GAIN, TRUSTS, SAMPLED, MAX_CLUSTERS = 0.6, 0.75, 0.7, 0.8, 0.3, 1.25, 64, 32
 CHANCE = 0.7
 RISES = 2
 STANDS, EXTENT, HOME, LIKE_IT, MOST = 0.75, 2.0, 0.4, 0.5, 128
@@ -137,7 +137,7 @@ class Reference:
         self.radius, self.band, self.early = radius or 0.0, frames["max_band"], 0.0
         self.events: list[Event] = []
         self.now = self.back = 0
-        self.exemplars: list[Exemplar | None] = [None] * MOST_CLUSTERS
+        self.exemplars: list[Exemplar | None] = [None] * MAX_CLUSTERS
         self.clock = self.turn = self.clusters = self.activity = 0
         self.believed = self.believed_of = self.from_grown = self.ahead = self.foreseen = self.noticed = 0
         self.counted: dict[int, int] = {}
@@ -1061,7 +1061,7 @@ class Reference:
 
     def keep(self, first: int, length: int) -> int:
         kept = {slot: exemplar for slot, exemplar in enumerate(self.exemplars) if exemplar}
-        if len(kept) == MOST_CLUSTERS:
+        if len(kept) == MAX_CLUSTERS:
             self.exemplars[min(kept, key=lambda k: kept[k].used)] = None
         slot = self.exemplars.index(None)
         frames = self.x[first : first + length].copy()
@@ -1122,8 +1122,8 @@ class Reference:
 
     def alike(self, first: int, last: int) -> int:
         length = last - first + 1
-        for k in range(MOST_CLUSTERS):
-            other = (self.turn + k) % MOST_CLUSTERS
+        for k in range(MAX_CLUSTERS):
+            other = (self.turn + k) % MAX_CLUSTERS
             exemplar = self.exemplars[other]
             if other == self.slot or exemplar is None or not length / 2 <= len(exemplar.frames) <= 2 * length:
                 continue

@@ -9,7 +9,7 @@ import numpy as np
 from kinegraph.operators.segmentation import Segment
 from kinegraph.operators.segmentation.kernels.clusters import keep
 from kinegraph.operators.segmentation.kernels.distances import insert
-from kinegraph.operators.segmentation.kernels.layout import MOST_CLUSTERS, Memory, allocate
+from kinegraph.operators.segmentation.kernels.layout import MAX_CLUSTERS, Memory, allocate
 from tests.motion.segmentation_runs import QUICK, played
 from tests.motion.test_segmentation_kernels import FRAMES
 
@@ -28,19 +28,19 @@ def seen(made: Memory, x: Any) -> int:
 
 
 def living(s: Memory) -> list[int]:
-    return [k for k in range(MOST_CLUSTERS) if s.cluster_numbers[k] >= 0]
+    return [k for k in range(MAX_CLUSTERS) if s.cluster_numbers[k] >= 0]
 
 
 def test_those_used_longest_ago_make_room_and_what_the_others_hold_does_not_change() -> None:
     made = allocate(4, FRAMES, 0.1, 0.5).with_room(64)
     held: dict[int, Any] = {}
-    for kind, length in enumerate(np.random.default_rng(1).integers(5, 30, 3 * MOST_CLUSTERS)):
+    for kind, length in enumerate(np.random.default_rng(1).integers(5, 30, 3 * MAX_CLUSTERS)):
         x = exercise(kind, int(length))
         end = seen(made, x)
         held[keep(made, end - len(x), len(x))] = x
         for k in living(made):
             assert np.array_equal(made.exemplars[k, :, : made.exemplar_sizes[k]], held[k].T)
-    assert sorted(made.cluster_numbers) == list(range(2 * MOST_CLUSTERS, 3 * MOST_CLUSTERS))
+    assert sorted(made.cluster_numbers) == list(range(2 * MAX_CLUSTERS, 3 * MAX_CLUSTERS))
 
 
 def test_an_exercise_is_known_again_after_thirty_others() -> None:

@@ -150,7 +150,7 @@ TRAVELS = 0.5
 EVENT_WIDTH = 8
 """A row of the table of events: kind, stamp of the decision, then what the kind has; see operator.py."""
 
-MOST_CLUSTERS = 32
+MAX_CLUSTERS = 32
 """The most exemplars that are kept."""
 
 NEVER_KNOWN = -(1 << 60)
@@ -257,18 +257,18 @@ def allocate(
         cost=np.full((2, lag + 1), np.inf),
         begin=np.full((2, lag + 1), -1, np.int64),
         scratch=np.zeros(lag + 1),
-        exemplars=np.zeros((MOST_CLUSTERS, width, lag)),
-        cluster_numbers=np.full(MOST_CLUSTERS, -1, np.int64),
-        exemplar_sizes=np.zeros(MOST_CLUSTERS, np.int64),
-        exemplar_uses=np.zeros(MOST_CLUSTERS, np.int64),
+        exemplars=np.zeros((MAX_CLUSTERS, width, lag)),
+        cluster_numbers=np.full(MAX_CLUSTERS, -1, np.int64),
+        exemplar_sizes=np.zeros(MAX_CLUSTERS, np.int64),
+        exemplar_uses=np.zeros(MAX_CLUSTERS, np.int64),
         mirrored=np.full((0 if firsts is None else ring, width), np.nan),
         firsts=np.zeros(width, np.int64) if firsts is None else firsts,
-        leads=np.zeros(MOST_CLUSTERS),
+        leads=np.zeros(MAX_CLUSTERS),
         recent=np.full((frames["rest"], width), np.nan),
         recent_at=np.zeros(frames["rest"], np.int64),
         steps=np.full(frames["rest"], np.nan),
         moves=np.zeros(ring),
-        travels=np.zeros(MOST_CLUSTERS),
+        travels=np.zeros(MAX_CLUSTERS),
         kinds=np.zeros(4, np.int64),
         counted=np.zeros(8, np.int64),
         spans=np.full((64, 4), -1, np.int64),
